@@ -113,7 +113,8 @@ class StepBalance:
     """What all forces from outside (on the socket, the bones and held nodes) leave over at a load step.
 
     aim : what the step leads to, in words; contact_n : sum of pressure times area on the skin, N
-    left_n, left_n_mm : size of the sum of the forces, and of that of their moments about the socket's centre
+    left_n, left_n_mm : size of the sum of the forces, and of that of their moments about the socket's centre,
+        without the couple that friction makes over the penetration
     arm_mm : of the moments: half of the socket's diagonal
     """
 
@@ -426,26 +427,47 @@ def _socket_number(system: System) -> int:
 
 
 def _left(system: System, state: State, forces: Forces) -> tuple[Array, Array]:
-    """Sums (3,) of all forces from outside, and of their moments about the socket's centre."""
-    tied = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(b.tied for b in system.bodies)]))
-    reactions = forces.nodal.copy()
-    reactions[tied] = 0.0  # they are in the forces of their bodies
+    """Sums (3,) of all forces from outside, and of their moments about the socket's centre: of what holds
+    nodes and bodies, and of the loads. What the solver left at free nodes is none of them, and so remains."""
+    reactions = np.where(system.free, 0.0, forces.nodal)
+    for body in system.bodies:
+        reactions[body.tied] = 0.0  # they are in the forces of their bodies
+    applied = system.applied(state.time)
     middle = system.center(_socket_number(system), state)
-    moment = np.cross(system.X + state.u - middle, reactions).sum(axis=0) + forces.bodies[:, 3:].sum(axis=0)
-    for b, each in enumerate(forces.bodies):
-        moment = moment + np.cross(system.center(b, state) - middle, each[:3])
-    return forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0), moment
+    force = reactions.sum(axis=0)
+    moment = np.cross(system.X + state.u - middle, reactions).sum(axis=0)
+    for b, body in enumerate(system.bodies):
+        acting = forces.bodies[b].copy()
+        acting[list(body.free)] = applied[b, list(body.free)]
+        force = force + acting[:3]
+        moment = moment + acting[3:] + np.cross(system.center(b, state) - middle, acting[:3])
+    return force, moment
 
 
 def _balance(running: Analysis, snapshot: Snapshot, aim: str, arm: float) -> StepBalance:
     system = running.system
-    force, moment = (
-        float(np.linalg.norm(each))
-        for each in _left(system, snapshot.state, system.forces_found(snapshot.state))
-    )
+    force, moment = _left(system, snapshot.state, system.forces_found(snapshot.state))
     (pair,) = system.pairs
+    couple = sum((_couple(each, system.X + snapshot.state.u) for each in pair.patches), np.zeros(3))
     pressed = sum(float(a @ p) for a, p, _ in map(_tractions, pair.patches))
-    return StepBalance(aim, pressed, force, moment, arm)
+    return StepBalance(
+        aim, pressed, float(np.linalg.norm(force)), float(np.linalg.norm(moment - couple)), arm
+    )
+
+
+def _couple(patch: Patch, x: Array) -> Array:
+    """Moment (3,) that friction makes because it acts on the skin at one point and on the wall at another, as
+    far apart as the penetration. x (n_points, 3) : current places"""
+    from limbcli.fem.contacts import friction_kernels
+    from limbcli.fem.contacts.contact_points import NORMAL, POINT, TRACTION
+
+    if patch.state.shape[2] != friction_kernels.N_STATE:
+        return np.zeros(3)
+    size = np.linalg.norm(patch.state[..., NORMAL : NORMAL + 3], axis=2)
+    weight = np.where(patch.state[..., TRACTION] > 0, patch.weights * size, 0.0)
+    apart = np.einsum("ga,fai->fgi", patch.N, x[patch.facets]) - patch.state[..., POINT : POINT + 3]
+    push = patch.state[..., friction_kernels.PUSH : friction_kernels.PUSH + 3]
+    return np.asarray(np.einsum("fg,fgi->i", weight, np.cross(apart, push)))
 
 
 def _penetration(patch: Patch) -> float:

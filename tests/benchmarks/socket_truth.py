@@ -6,7 +6,8 @@ The limb of cases/socket with a true c that varies smoothly (Gaussian random fea
 ln) and a true m, friction and place of the socket drawn as the intervals take them. Eight sites read c and m
 with 10 % noise, averaged over the tissue below them. Per seed: mean pressure of every patch and load,
 predicted from the field through the sites, its 95 % interval, and what one c for the whole limb (the sites'
-geometric mean) predicts. Penalty contact alone, so that a seed takes a few minutes.
+geometric mean) predicts. Penalty contact alone in few load steps, the same for truth and prediction, so that
+a seed takes a few minutes.
 """
 
 from __future__ import annotations
@@ -128,7 +129,7 @@ def interval(value: float) -> Interval:
 
 def rows_of(together: LimbInSocket, model: LimbModel, friction: float, pose: Pose) -> list[PatchPressure]:
     options = DonningOptions(
-        friction=friction, loads_n=LOADS, axis="z", donning_steps=10, load_steps=5, skin=together.touching,
+        friction=friction, loads_n=LOADS, axis="z", donning_steps=6, load_steps=3, skin=together.touching,
         search_radius_mm=max(30.0, together.fit.deepest_mm + 10.0),
     )  # fmt: skip
     states = don_and_load(model, misplaced(together.face, pose[:2], pose[2:]), options).states

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from limbcli.feb.write import write_feb
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, LogRecord, Support
 from limbcli.progress import SILENT
+from limbcli.sockets import donning
 from limbcli.sockets.donning import FACE, SOCKET, DonningOptions, don_and_load, socket_model
 from limbcli.sockets.knee import KneeLoad
 from limbcli.solvers.febio import FebioSolver
@@ -96,6 +98,23 @@ def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: f
         float((s.facet_pressure_mpa * s.facet_area_mm2).sum()) for s in (soft.states[0], hard.states[0])
     ]
     assert 1.0 < pressed[1] / pressed[0] < 1.2
+
+
+def test_a_loose_solve_leaves_forces_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the solver leaves at free nodes is no force from outside: the balance sees it."""
+    loosely = partial(donning.prepare, tolerance=0.03, stalled=0.03)
+    monkeypatch.setattr(donning, "prepare", loosely)
+    quick = replace(OPTIONS, loads_n=(0.5,), friction=0.1)
+    assert don_and_load(limb(), face(), quick, threads=1).worst.share > 1e-4
+
+
+def test_friction_over_a_penetration_is_no_moment_left_over() -> None:
+    """It acts on the skin at one point and on the wall at another: the couple of both is counted."""
+    knee = KneeLoad((1.0, 0.0, 30.0), (0.05, -0.02, 0.0), (-0.5, 0.3, 0.0))
+    soft = replace(OPTIONS, donning_steps=3, loads_n=(0.5,), friction=0.1, penalty=3.0, knee=knee)
+    result = don_and_load(limb(), face(), soft, threads=1)
+    assert result.states[-1].penetration_mm > 0.05
+    assert result.worst.share < 1e-5, result.balance
 
 
 # FEBio 4.11.0 (tag v4.11, built from source) on the files of `socket_model` below: mean pressure (kPa) of the
