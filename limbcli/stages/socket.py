@@ -110,7 +110,7 @@ def socket(
                 writer.file(f"picture_{name}", f"pressure_{name}.png"),
                 together,
                 kpa_from_mpa(state.facet_pressure_mpa),
-                f"{case.subject}: pressure on the skin, {_words(state)}",
+                f"{case.subject}: pressure on the {together.touching}, {_words(state)}",
             )
         _write_skin(writer.file("skin", "skin_pressure.npz"), result, together)
         write_feb(result.model, writer.file("feb", "socket.feb"), templates)
