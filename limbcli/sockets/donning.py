@@ -38,6 +38,7 @@ _ABOUT = {"x": "u", "y": "v", "z": "w"}
 _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
 _OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
 _MOST_AUGMENTATIONS = 20
+_SAME_TIME = 1e-9
 _CELL_FIELDS = ("E1", "sed")
 
 
@@ -228,7 +229,7 @@ def don_and_load(
     loads = iter((0.0, *options.loads_n))
 
     def visit(running: Analysis, snapshot: Snapshot) -> None:
-        balance.append(_balance(running, snapshot, aim_of(len(balance) + 1, options), arm))
+        balance.append(_balance(running, snapshot, aim_of(snapshot.state.time, options), arm))
         if snapshot.must:
             states.append(_state(running, snapshot, next(loads)))
 
@@ -341,23 +342,24 @@ def _told(progress: Progress, options: DonningOptions) -> Progress:
     """The same progress, whose load steps say how far the limb is donned, or the load."""
 
     def tell(kind: str, facts: dict[str, Any]) -> None:
-        more = {"aim": aim_of(facts["step"], options)} if kind == "newton" else {}
+        more = {"aim": aim_of(facts["time"], options)} if kind == "newton" else {}
         progress.event(kind, **{**facts, **more})
 
     return Progress(tell)
 
 
-def aim_of(step: int, options: DonningOptions) -> str:
-    """What a load step, from 1, leads to.
+def aim_of(time: float, options: DonningOptions) -> str:
+    """What is reached at a time: donning ends at 1, and each load 1 later. Without friction the solver takes
+    fewer steps than the options say.
 
-    >>> options = DonningOptions(donning_steps=10, load_steps=5, loads_n=(400.0, 800.0))
-    >>> aim_of(4, options), aim_of(12, options), aim_of(17, options)
+    >>> options = DonningOptions(loads_n=(400.0, 800.0))
+    >>> aim_of(0.4, options), aim_of(1.4, options), aim_of(2.4, options)
     ('donned 40 %', 'load 160 N', 'load 560 N')
     """
-    if step <= options.donning_steps:
-        return f"donned {100 * step / options.donning_steps:.0f} %"
-    share, loads = (step - options.donning_steps) / options.load_steps, (0.0, *options.loads_n)
-    return f"load {np.interp(share, range(len(loads)), loads):.4g} N"
+    if time < 1.0 + _SAME_TIME:
+        return f"donned {100 * time:.0f} %"
+    loads = (0.0, *options.loads_n)
+    return f"load {np.interp(time - 1.0, range(len(loads)), loads):.4g} N"
 
 
 def _explained(error: SolveError, n_states: int, options: DonningOptions) -> SolveError:

@@ -15,7 +15,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, LogRecord, Support
-from limbcli.progress import SILENT
+from limbcli.progress import SILENT, Progress
 from limbcli.sockets import donning
 from limbcli.sockets.donning import FACE, SOCKET, DonningOptions, don_and_load, socket_model
 from limbcli.sockets.knee import KneeLoad
@@ -98,6 +98,15 @@ def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: f
         float((s.facet_pressure_mpa * s.facet_area_mm2).sum()) for s in (soft.states[0], hard.states[0])
     ]
     assert 1.0 < pressed[1] / pressed[0] < 1.2
+
+
+def test_without_friction_fewer_steps_say_what_they_lead_to() -> None:
+    told: list[str] = []
+    listener = Progress(lambda kind, facts: told.append(facts["aim"]) if kind == "newton" else None)
+    options = replace(OPTIONS, loads_n=(0.5,), friction=0.0)
+    result = don_and_load(limb(), face(), options, threads=1, progress=listener)
+    assert [each.aim for each in result.balance][-1] == told[-1] == "load 0.5 N"
+    assert "donned 100 %" in told
 
 
 def test_a_loose_solve_leaves_forces_over(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -240,6 +240,7 @@ class Newton:
             target=self.settings.tolerance,
             depth=load_step.depth,
             aim=load_step.aim,
+            time=load_step.time,
             krylov=self.counts.krylov,
             factorisations=self.counts.factorisations,
         )
@@ -301,7 +302,7 @@ class Newton:
     def load_step(self, number: int, n_steps: int, time: float) -> LoadStep:
         """The load step that ends at a time."""
         aim = self.system.prescribed(self.system.start, time)
-        return LoadStep(number, n_steps, self.depth(aim), self.reached(aim))
+        return LoadStep(number, n_steps, self.depth(aim), self.reached(aim), time)
 
     def weakness(self, state: State) -> str:
         """The likely reason, with its location, why no equilibrium was found beyond a state."""

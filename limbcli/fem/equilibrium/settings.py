@@ -54,12 +54,14 @@ class LoadStep:
 
     depth : of a body that is pressed in, mm; None where none is
     aim : the depth or the force of the body, in words; "" where it has neither
+    time : at its end
     """
 
     number: int
     n_steps: int
     depth: float | None
     aim: str = ""
+    time: float = 0.0
 
     def at(self, time: float, reached: str) -> str:
         """Text for a time on the way to this load step, and what is reached there."""
