@@ -4,9 +4,9 @@
 bar, a log line or a point of a plot is up to the listener.
 
 Kinds in use: "stage" (name, site), "task" (name, done, total), "newton" (step, n_steps, iteration, residual,
-target, depth, krylov, factorisations), "fit" (iteration, cost, parameters), "compile" (what), "solve"
-(number, at_most: which of the simulations of a fit begins), "alive" (name, seconds, limit_s, time, end_time),
-"note" (text).
+target, depth, aim, time, krylov, factorisations), "fit" (iteration, cost, parameters), "compile" (what),
+"solve" (number, at_most: which of the simulations of a fit begins), "alive" (name, seconds, limit_s, time,
+end_time), "note" (text).
 """
 
 from __future__ import annotations

@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from limbcli.api.base import Result, one
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
 from limbcli.numbers.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
-from limbcli.options import CASE, OUT, PROGRESS, WAIT, Option
+from limbcli.options import CASE, OUT, PROGRESS, TEMPLATES, WAIT, Option
 from limbcli.results import StageResult
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
 
@@ -67,6 +67,7 @@ def socket(
     intervals: Annotated[
         bool, Option("95 % limits of pressure and shear, from the limb's draws (up to eight more solves).")
     ] = True,
+    templates: Annotated[PathLike | None, TEMPLATES] = None,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,
 ) -> StageResult:
@@ -88,4 +89,7 @@ def socket(
         align, donning_steps, load_steps, contact_penalty, penetration_mm, intervals
     )
     with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
-        return stage.socket(work.case, out=work.out, options=options, progress=work.progress)
+        return stage.socket(
+            work.case, out=work.out, options=options, templates=maybe_path(templates, "templates"),
+            progress=work.progress,
+        )  # fmt: skip

@@ -167,7 +167,10 @@ def _liner(table: object, file: str) -> tuple[LinerInput | None, list[Problem]]:
         return None, []
     values, problems = schema.check_table(table, schema.LINER, name="socket.liner", file=file)
     if not errors_of(problems) and not values["bonded"]:
-        what = "[socket.liner] has bonded = false: a liner that slides on the skin is not modelled"
+        what = (
+            "[socket.liner] has bonded = false: a liner that slides on the skin is not modelled, because the "
+            "contact needs a rigid surface on one side"
+        )
         problems.append(Problem(what, file, "leave `bonded` out: the liner is then bonded to the skin"))
     if errors_of(problems):
         return None, problems

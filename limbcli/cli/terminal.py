@@ -119,9 +119,14 @@ def _solve(facts: dict[str, Any]) -> str:
 
 
 def _newton(facts: dict[str, Any], solve: str) -> str:
-    depth = f", depth {facts['depth']:.2f} mm" if facts.get("depth") is not None else ""
+    """
+    >>> facts = {"step": 4, "n_steps": 15, "iteration": 2, "residual": 3e-2, "target": 1e-4}
+    >>> _newton({**facts, "aim": "donned 40 %"}, "")
+    '  level 4 of 15, donned 40 %, iteration 2, residual 3.0e-02 (target 1e-04)'
+    """
+    aim = f", {facts['aim']}" if facts.get("aim") else ""
     of_solve = f"{solve}, " if solve else ""
-    text = f"  {of_solve}level {facts['step']} of {facts['n_steps']}{depth}, iteration {facts['iteration']}"
+    text = f"  {of_solve}level {facts['step']} of {facts['n_steps']}{aim}, iteration {facts['iteration']}"
     return f"{text}, residual {facts['residual']:.1e} (target {facts['target']:.0e})"
 
 

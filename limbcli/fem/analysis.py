@@ -16,7 +16,7 @@ from functools import partial
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, remembers
-from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, Settings
+from limbcli.fem.equilibrium.newton import Counts, Newton, Settings
 from limbcli.fem.equilibrium.settings import WorkLimit
 from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
@@ -116,7 +116,7 @@ class Analysis:
                 if last is not None and n_must >= last:
                     return snapshots
                 number += 1
-                load_step = LoadStep(number, n_steps, newton.depth_at(target))
+                load_step = newton.load_step(number, n_steps, target)
                 known = guesses(newton.system, target) if guesses else None
                 newton.system.remember(state)
                 brief = full_effort is not None and n_must >= full_effort

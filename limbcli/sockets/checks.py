@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import MeshError
+from limbcli.meshing.mending import open_rims
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
 from limbcli.numbers.units import LENGTH_UNITS_IN_MM
@@ -21,6 +22,7 @@ _SLAB_MM = 10.0
 # Share of the distance from the skin to the centre line by which the wall may lie inside the skin: chosen.
 # Beyond it a facet's normal no longer meets the wall on its own side.
 _DEEPEST = 0.35
+_HOLE = 0.1  # of a face's extent: a larger hole besides its opening is refused
 _MOST_SQUEEZED = 0.5  # of a liner's thickness: less room than this is refused
 
 
@@ -101,6 +103,30 @@ def check_around(face: Triangles, line: CentreLine, *, where: str = "socket") ->
             where=where,
             fix="give the whole inner face; check that limb and socket are aligned",
             share_around=float(share),
+        )
+
+
+def check_openings(face: Triangles, line: CentreLine, *, where: str = "socket") -> None:
+    """Refuse an inner face that opens at the wrong end, or is open elsewhere than there. Raises MeshError."""
+    extent = float(np.linalg.norm(np.ptp(face.points, axis=0)))
+    rims = sorted(open_rims(face), key=lambda rim: float(line.height(rim[0][None])[0]))  # the brim first
+    height = line.height(face.points)
+    if rims and line.height(rims[0][0][None])[0] > 0.5 * (height.min() + height.max()):
+        raise MeshError(
+            "the socket opens at the limb's distal end and is closed towards its proximal one: it is upside "
+            "down, or has no brim",
+            where=where,
+            fix="check how it was exported, or align it (landmarks or --align)",
+        )
+    holes = [(place, size) for place, size in rims[1:] if size > _HOLE * extent]
+    if holes:
+        place, size = max(holes, key=lambda rim: rim[1])
+        raise MeshError(
+            f"the socket is open: besides its brim it has a hole {size:.0f} mm wide at "
+            f"({', '.join(f'{each:.0f}' for each in place)}) of the limb's upright frame",
+            where=where,
+            fix="close it in the program that made it; the limb must not bulge through it",
+            hole_mm=float(size),
         )
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -28,6 +28,8 @@ from limbcli.solvers.reference import prepare
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
     from limbcli.fem.contacts.patch import Patch
+    from limbcli.fem.motion.state import Forces, State
+    from limbcli.fem.system import System
 
 SOCKET, FACE = "socket", "socket_face"
 _DONNING, _CLOSING, _LOAD = "donning", "closing", "socket_load"
@@ -36,6 +38,7 @@ _ABOUT = {"x": "u", "y": "v", "z": "w"}
 _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
 _OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
 _MOST_AUGMENTATIONS = 20
+_SAME_TIME = 1e-9
 _CELL_FIELDS = ("E1", "sed")
 
 
@@ -108,13 +111,44 @@ class SocketState:
         return np.asarray(self.socket_moment_n_mm + np.cross(self.centre - point, self.socket_force_n))
 
 
+@dataclass(frozen=True)
+class StepBalance:
+    """What all forces from outside (on the socket, the bones and held nodes) leave over at a load step.
+
+    aim : what the step leads to, in words; contact_n : sum of pressure times area on the skin, N
+    left_n, left_n_mm : size of the sum of the forces, and of that of their moments about the socket's centre,
+        without the couple that friction makes over the penetration
+    arm_mm : of the moments: half of the socket's diagonal
+    """
+
+    aim: str
+    contact_n: float
+    left_n: float
+    left_n_mm: float
+    arm_mm: float
+
+    @property
+    def share(self) -> float:
+        """The larger of both, as a share of the contact's force and of that times the arm; 0 if none."""
+        if not self.contact_n:
+            return 0.0
+        return max(self.left_n, self.left_n_mm / self.arm_mm) / self.contact_n
+
+
 @dataclass(frozen=True, eq=False)
 class DonningResult:
-    """skin_nodes (n_skin,) : node numbers, ascending; states : after donning, then one per load."""
+    """skin_nodes (n_skin,) : node numbers, ascending; states : after donning, then one per load;
+    balance : one per load step."""
 
     model: LimbModel
     skin_nodes: IntArray
     states: tuple[SocketState, ...]
+    balance: tuple[StepBalance, ...]
+
+    @property
+    def worst(self) -> StepBalance:
+        """The load step whose forces or moments leave most over."""
+        return max(self.balance, key=lambda each: each.share)
 
 
 def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | None = None) -> LimbModel:
@@ -174,7 +208,8 @@ def don_and_load(
     threads: int = 2,
     progress: Progress = SILENT,
 ) -> DonningResult:
-    """Put a limb into its socket and load it, with the reference solver.
+    """Put a limb into its socket and load it, with the reference solver. Progress says what each step leads
+    to ("donned 40 %", "load 120 N").
 
     Parameters
     ----------
@@ -189,11 +224,16 @@ def don_and_load(
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)
-    analysis = prepare(model, progress, threads=threads, slip_as_febio=options.slip_as_febio)
+    analysis = prepare(
+        model, _told(progress, options), threads=threads, slip_as_febio=options.slip_as_febio
+    )
     states: list[SocketState] = []
+    balance: list[StepBalance] = []
+    arm = 0.5 * float(np.linalg.norm(np.ptp(face.points, axis=0)))
     loads = iter((0.0, *options.loads_n))
 
     def visit(running: Analysis, snapshot: Snapshot) -> None:
+        balance.append(_balance(running, snapshot, aim_of(snapshot.state.time, options), arm))
         if snapshot.must:
             states.append(_state(running, snapshot, next(loads)))
 
@@ -203,7 +243,7 @@ def don_and_load(
         raise _explained(error, len(states), options) from error
     finally:
         analysis.close()
-    return DonningResult(model, _skin_nodes(model, options.skin), tuple(states))
+    return DonningResult(model, _skin_nodes(model, options.skin), tuple(states), tuple(balance))
 
 
 # ---------------------------------------------------------------- model
@@ -302,6 +342,30 @@ def _knee_drives(options: DonningOptions, centre: Array) -> tuple[Drive, ...]:
     return tuple(drives)
 
 
+def _told(progress: Progress, options: DonningOptions) -> Progress:
+    """The same progress, whose load steps say how far the limb is donned, or the load."""
+
+    def tell(kind: str, facts: dict[str, Any]) -> None:
+        more = {"aim": aim_of(facts["time"], options)} if kind == "newton" else {}
+        progress.event(kind, **{**facts, **more})
+
+    return Progress(tell)
+
+
+def aim_of(time: float, options: DonningOptions) -> str:
+    """What is reached at a time: donning ends at 1, and each load 1 later. Without friction the solver takes
+    fewer steps than the options say.
+
+    >>> options = DonningOptions(loads_n=(400.0, 800.0))
+    >>> aim_of(0.4, options), aim_of(1.4, options), aim_of(2.4, options)
+    ('donned 40 %', 'load 160 N', 'load 560 N')
+    """
+    if time < 1.0 + _SAME_TIME:
+        return f"donned {100 * time:.0f} %"
+    loads = (0.0, *options.loads_n)
+    return f"load {np.interp(time - 1.0, range(len(loads)), loads):.4g} N"
+
+
 def _explained(error: SolveError, n_states: int, options: DonningOptions) -> SolveError:
     """The error, with what was going on: donning, or which load."""
     what = "donning" if n_states == 0 else f"the load of {options.loads_n[n_states - 1]:g} N"
@@ -344,11 +408,7 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     facet_pressure, facet_shear, facet_area = (np.concatenate(each) for each in zip(*by_facet, strict=True))
     area = np.maximum(sums[nodes, 0], 1e-300)
     cells = record_rows(system, state, forces, LogRecord("element", _CELL_FIELDS, ""))[1]
-    tied = np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *(b.tied for b in system.bodies)]))
-    reactions = forces.nodal.copy()
-    reactions[tied] = 0.0  # they are in the forces of their bodies
-    names = [body.name for body in system.bodies]
-    b = names.index(SOCKET)
+    b = _socket_number(system)
     return SocketState(
         load_n=load,
         pressure_mpa=sums[nodes, 1] / area,
@@ -364,8 +424,56 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         socket_shift_mm=np.array(state.bodies[b].shift),
         penetration_mm=max(map(_penetration, pair.patches), default=0.0),
         centre=np.asarray(system.bodies[b].center + state.bodies[b].shift),
-        imbalance_n=float(np.linalg.norm(forces.bodies[:, :3].sum(axis=0) + reactions.sum(axis=0))),
+        imbalance_n=float(np.linalg.norm(_left(system, state, forces)[0])),
     )
+
+
+def _socket_number(system: System) -> int:
+    return [body.name for body in system.bodies].index(SOCKET)
+
+
+def _left(system: System, state: State, forces: Forces) -> tuple[Array, Array]:
+    """Sums (3,) of all forces from outside, and of their moments about the socket's centre: of what holds
+    nodes and bodies, and of the loads. What the solver left at free nodes is none of them, and so remains."""
+    reactions = np.where(system.free, 0.0, forces.nodal)
+    for body in system.bodies:
+        reactions[body.tied] = 0.0  # they are in the forces of their bodies
+    applied = system.applied(state.time)
+    middle = system.center(_socket_number(system), state)
+    force = reactions.sum(axis=0)
+    moment = np.cross(system.X + state.u - middle, reactions).sum(axis=0)
+    for b, body in enumerate(system.bodies):
+        acting = forces.bodies[b].copy()
+        acting[list(body.free)] = applied[b, list(body.free)]
+        force = force + acting[:3]
+        moment = moment + acting[3:] + np.cross(system.center(b, state) - middle, acting[:3])
+    return force, moment
+
+
+def _balance(running: Analysis, snapshot: Snapshot, aim: str, arm: float) -> StepBalance:
+    system = running.system
+    force, moment = _left(system, snapshot.state, system.forces_found(snapshot.state))
+    (pair,) = system.pairs
+    couple = sum((_couple(each, system.X + snapshot.state.u) for each in pair.patches), np.zeros(3))
+    pressed = sum(float(a @ p) for a, p, _ in map(_tractions, pair.patches))
+    return StepBalance(
+        aim, pressed, float(np.linalg.norm(force)), float(np.linalg.norm(moment - couple)), arm
+    )
+
+
+def _couple(patch: Patch, x: Array) -> Array:
+    """Moment (3,) that friction makes because it acts on the skin at one point and on the wall at another, as
+    far apart as the penetration. x (n_points, 3) : current places"""
+    from limbcli.fem.contacts import friction_kernels
+    from limbcli.fem.contacts.contact_points import NORMAL, POINT, TRACTION
+
+    if patch.state.shape[2] != friction_kernels.N_STATE:
+        return np.zeros(3)
+    size = np.linalg.norm(patch.state[..., NORMAL : NORMAL + 3], axis=2)
+    weight = np.where(patch.state[..., TRACTION] > 0, patch.weights * size, 0.0)
+    apart = np.einsum("ga,fai->fgi", patch.N, x[patch.facets]) - patch.state[..., POINT : POINT + 3]
+    push = patch.state[..., friction_kernels.PUSH : friction_kernels.PUSH + 3]
+    return np.asarray(np.einsum("fg,fgi->i", weight, np.cross(apart, push)))
 
 
 def _penetration(patch: Patch) -> float:

@@ -194,23 +194,31 @@ class CaseRun:
         asked = {name: self._requested(name, None, without=own_templates) for name in ("limb", "socket")}
         sized = {"nodes": given.limb_nodes, **asked["limb"]}
         fits = [site.name for site in self.case.sites if self._is_fitted(site.name)]
-        templates = self.options.templates or path_of(asked["limb"].get("templates"))
-        of_model = [templates / "feb"] if templates and (templates / "feb").is_dir() else []
-        key = key_of("limb", first, *keys, *of_model, fits, *parts_of(sized))
+        templates = {
+            name: self.options.templates or path_of(each.get("templates")) for name, each in asked.items()
+        }
+        used = {
+            name: [each / "feb"] if each and (each / "feb").is_dir() else []
+            for name, each in templates.items()
+        }
+        key = key_of("limb", first, *keys, *used["limb"], fits, *parts_of(sized))
 
         def model() -> object:
             options = options_of(LimbOptions, sized)
-            return limb(self.case, options=options, templates=templates, **self._common())
+            return limb(self.case, options=options, templates=templates["limb"], **self._common())
+
+        def pressed() -> object:
+            options = options_of(SocketOptions, {"intervals": False, **asked["socket"]})
+            return socket(self.case, options=options, templates=templates["socket"], **self._common())
 
         if not self._stage("limb", None, key, model):
             self._skip(("socket",), None, because="limb")
             return [key]
-        own = key_of("socket", key, *parts_of(asked["socket"]))
+        own = key_of("socket", key, *used["socket"], *parts_of(asked["socket"]))
         made_by_hand = not self.options.defaults and self.memory.made_since("socket", None)
         if made_by_hand and self._holds("socket", None):
             self.memory.remember("socket", None, own)  # perhaps with intervals
-        options = options_of(SocketOptions, {"intervals": False, **asked["socket"]})
-        self._stage("socket", None, own, lambda: socket(self.case, options=options, **self._common()))
+        self._stage("socket", None, own, pressed)
         return [key, own]
 
     def keep(self, failure: StepFailure) -> None:

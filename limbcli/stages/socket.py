@@ -20,8 +20,8 @@ from limbcli.numbers.mesh_bounds import PENETRATION_MM
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain import Chain
-from limbcli.provenance.chain_inputs import noted
-from limbcli.provenance.requested_options import requested_by_options
+from limbcli.provenance.chain_inputs import note_templates, noted
+from limbcli.provenance.requested_options import requested_of
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.sockets.alignment import misplaced
 from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load
@@ -67,9 +67,16 @@ class SocketOptions:
 
 
 def socket(
-    case: Case, *, out: Path, options: SocketOptions = SocketOptions(), progress: Progress = SILENT
+    case: Case,
+    *,
+    out: Path,
+    options: SocketOptions = SocketOptions(),
+    templates: Path | None = None,
+    progress: Progress = SILENT,
 ) -> StageResult:
     """Don the socket of a case and load the limb along its axis.
+
+    templates : folder of templates of the .feb; None: the bundled ones
 
     Raises
     ------
@@ -85,7 +92,9 @@ def socket(
     chain = Chain(case, out)
     limb = chain.result("limb")
     with open_stage(out, STAGE, subject=case.subject) as writer:
-        writer.data["asked"] = requested_by_options(options)
+        asked = {**vars(options), "templates": templates}
+        writer.data["asked"] = requested_of(asked, vars(SocketOptions()))
+        note_templates(writer, templates)
         given = _given(noted(case, writer), options)
         writer.used_result(limb, files=[each for each in ("model", "draws") if each in limb.files])
         together = put_together(load_model(limb.path("model")), given, writer)
@@ -95,6 +104,7 @@ def socket(
         masks = patch_masks(together.limb)
         rows = patch_rows(result.states, masks, together.skin.areas)
         _report(writer, result, rows, together)
+        _report_balance(writer, result)
         intervals: Intervals = {}
         if options.intervals and "draws" in limb.files:
             drawn = drawn_values(
@@ -111,10 +121,10 @@ def socket(
                 writer.file(f"picture_{name}", f"pressure_{name}.png"),
                 together,
                 kpa_from_mpa(state.facet_pressure_mpa),
-                f"{case.subject}: pressure on the skin, {_words(state)}",
+                f"{case.subject}: pressure on the {together.touching}, {_words(state)}",
             )
         _write_skin(writer.file("skin", "skin_pressure.npz"), result, together)
-        write_feb(result.model, writer.file("feb", "socket.feb"))
+        write_feb(result.model, writer.file("feb", "socket.feb"), templates)
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
         writer.warnings.extend(limb.warnings)
     return writer.result
@@ -276,6 +286,23 @@ def _report(
                 where="balance of forces", fix="use more donning and load steps",
                 imbalance_n=state.imbalance_n,
             )  # fmt: skip
+
+
+def _report_balance(writer: StageWriter, result: DonningResult) -> None:
+    """What forces and moments leave over, of all load steps; too much is refused."""
+    worst = result.worst
+    writer.data["balance"] = [{**vars(each), "share": each.share} for each in result.balance]
+    writer.summary.append(
+        f"balance over {len(result.balance)} load steps: forces and moments leave at most {worst.share:.1g} "
+        f"of what the socket presses ({worst.aim})"
+    )
+    if worst.share > _BALANCE:
+        raise SolveError(
+            f"{worst.aim}: {worst.left_n:.3g} N and {worst.left_n_mm:.3g} N mm are left of the "
+            f"{worst.contact_n:.4g} N with which the socket presses",
+            where="balance of forces and moments", fix="use more donning and load steps",
+            imbalance_n=worst.left_n,
+        )  # fmt: skip
 
 
 def _words(state: SocketState) -> str:

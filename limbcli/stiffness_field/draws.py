@@ -1,7 +1,8 @@
 """Joint draws of c, m and f_kappa of a whole limb, as functions that can be evaluated at any points.
 
-A draw takes one hypothesis of the grid by its probability, a function from the prior (random Fourier
-features), and errors of the readings; it then moves the function by the readings' distance from it:
+A draw takes one hypothesis of the grid for each parameter by its probability, a function from the prior
+(random Fourier features), and errors of the readings; it then moves the function by the readings' distance
+from it:
 
     f(x) = f_prior(x) + k(x, readings) (K + R)^-1 (values - f_prior(readings) - errors)
 
@@ -28,7 +29,7 @@ from limbcli.files.atomic import atomic_file
 from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.stiffness_field.coordinates import AnatomicalPlaces
-from limbcli.stiffness_field.field import Conditioned, StiffnessField
+from limbcli.stiffness_field.field import Conditioned, Hypothesis, StiffnessField, conditioned
 from limbcli.stiffness_field.kernel import Features
 from limbcli.stiffness_field.readings import PARAMETERS
 
@@ -50,14 +51,14 @@ class DrawnValues:
 class Draw:
     """One draw of the field.
 
-    level : (3,) mean of ln of each parameter: the prior's and the person's
+    features : of each parameter; level : (3,) mean of ln of each: the prior's and the person's
     weights : (3, 2 n) of the features; update : (n_readings,) of the correlations with the readings
     """
 
     number: int
     field: StiffnessField
     part: Conditioned
-    features: Features
+    features: tuple[Features, ...]
     level: Array
     weights: Array
     update: Array
@@ -81,10 +82,10 @@ class Draw:
 
     def logs(self, places: AnatomicalPlaces) -> Array:
         """ln of c, m, f_kappa (n, 3) at places."""
-        out = self.level + self.features.at(places) @ self.weights.T
+        out = self.level + _values(self.features, self.weights, places)
         if len(self.update):
-            hypothesis = self.part.hypothesis
             for k in np.unique(self.field.readings.parameter):
+                hypothesis = self.part.hypotheses[int(k)]
                 cross = self.field.to_readings(int(k), places, [hypothesis.lengths])[hypothesis.lengths]
                 out[:, k] += hypothesis.variation**2 * cross @ self.update
         return np.asarray(out)
@@ -133,7 +134,7 @@ class Draws:
                 here = draw.at(region)
                 c, m = (float(np.exp(np.log(each).mean())) for each in (here.c, here.m))
                 row |= {f"c_{name}_kpa": kpa_from_mpa(c), f"m_{name}": m}
-            hypothesis = draw.part.hypothesis
+            hypothesis = draw.part.hypotheses[0]  # of c
             row |= {
                 "length_along_mm": hypothesis.lengths.height_mm,
                 "length_around_rad": hypothesis.lengths.around,
@@ -155,26 +156,40 @@ def write_draws(path: Path, rows: Sequence[dict[str, float]]) -> None:
 @lru_cache(maxsize=64)
 def _drawn(draws: Draws, k: int) -> Draw:
     field, rng = draws.field, np.random.default_rng([draws.seed, k])
-    part = field.parts[int(np.searchsorted(np.cumsum(field.shares), rng.random() * (1 - 1e-12)))]
-    hypothesis, readings = part.hypothesis, field.readings
-    features = Features.drawn(_FREQUENCIES, hypothesis.lengths, rng)
-    weights = hypothesis.variation * rng.standard_normal((len(PARAMETERS), 2 * _FREQUENCIES))
+    hypotheses = tuple(_one_of(field, name, rng) for name in PARAMETERS)
+    readings = field.readings
+    part = conditioned(readings, hypotheses, field.priors, field.together)
+    features = tuple(Features.drawn(_FREQUENCIES, each.lengths, rng) for each in hypotheses)
+    sizes = np.array([[each.variation] for each in hypotheses])
+    weights = sizes * rng.standard_normal((len(PARAMETERS), 2 * _FREQUENCIES))
     priors = [field.priors[name] for name in PARAMETERS]
     person = np.array([p.deviation for p in priors]) * rng.standard_normal(len(priors))
     level = np.array([p.mean for p in priors]) + person
     update = np.empty(0)
     if len(readings):
         n, which = len(readings), readings.parameter
-        prior = features.at(readings.places) @ weights.T  # (q, 3)
+        prior = _values(features, weights, readings.places)
         seen = level[which] + np.einsum("nq,nq->n", readings.average, prior.T[which])
         errors = _normal(part.noise, rng)
-        if hypothesis.own_error:
-            errors = errors + _normal(hypothesis.own_error**2 * readings.own, rng)
+        own = np.array([each.own_error for each in hypotheses])[which]
+        errors += _normal(own[:, None] * readings.own * own, rng)
         update = cho_solve(part.factor, part.values - seen - errors)
         for j, p in enumerate(priors):
             level[j] += p.deviation**2 * float(update[which == j].sum())
         assert update.shape == (n,)
     return Draw(k, field, part, features, level, weights, np.asarray(update, float))
+
+
+def _one_of(field: StiffnessField, parameter: str, rng: np.random.Generator) -> Hypothesis:
+    """One of a parameter's hypotheses, by their probabilities."""
+    found = field.hypotheses(parameter)
+    shares = np.cumsum([share for _, share in found])
+    return found[int(np.searchsorted(shares, rng.random() * (1 - 1e-12)))][0]
+
+
+def _values(features: Sequence[Features], weights: Array, places: AnatomicalPlaces) -> Array:
+    """Variation (n_places, 3) of ln of each parameter before the readings."""
+    return np.stack([each.at(places) @ own for each, own in zip(features, weights, strict=True)], axis=1)
 
 
 def _normal(covariance: Array, rng: np.random.Generator) -> Array:

@@ -11,7 +11,8 @@ one place differ by. Far from every site the field is thus the person's mean as 
 sites the population's.
 
 The correlation lengths, sigma and tau are not known from a few sites. They are not fitted: every combination
-of a grid is kept, weighted by its marginal likelihood, and all results are averages over the grid.
+of a grid is kept, weighted by its marginal likelihood, and all results are averages over the grid. Each
+parameter has its own, weighted by its own readings: c may vary a lot within a limb whose m does not.
 
 Source: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.2, 2.7 and 5.2.
 """
@@ -158,15 +159,29 @@ class FieldReadings:
     def __len__(self) -> int:
         return len(self.values)
 
+    def part(self, which: NDArray[np.int_]) -> FieldReadings:
+        """The readings of these numbers, ascending, without their correlations with others."""
+        number = {k: n for n, k in enumerate(which.tolist())}
+        return replace(
+            self, average=self.average[which], parameter=self.parameter[which], values=self.values[which],
+            noise=self.noise[np.ix_(which, which)], own=self.own[np.ix_(which, which)],
+            likelihoods={number[k]: each for k, each in self.likelihoods.items() if k in number},
+            correlated=[
+                (number[i], number[j], rho) for i, j, rho in self.correlated if i in number and j in number
+            ],
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, eq=False)
 class Conditioned:
-    """The field under one hypothesis: readings (n,) and their noise with all likelihoods made normal.
+    """The field under one hypothesis for each parameter: readings (n,) and their noise with all likelihoods
+    made normal.
 
+    hypotheses : in the order of `PARAMETERS`
     weights : (n,) the inverse covariance times the readings' distance from the prior mean
     """
 
-    hypothesis: Hypothesis
+    hypotheses: tuple[Hypothesis, ...]
     log_evidence: float
     values: Array
     noise: Array
@@ -178,15 +193,18 @@ class Conditioned:
 class StiffnessField:
     """c, m and f_kappa in a whole limb, conditioned on the readings of its sites.
 
-    parts, shares : (n,) hypotheses with their posterior probabilities
+    parts, shares : by parameter, the field under each of its hypotheses (with the most probable ones of the
+        other parameters), and their posterior probabilities
+    together : (n, n) correlations of the readings' regional means, by lengths
     known : (k, 3) mm, points that readings of c average over
     """
 
     limb: LimbCoordinates
     priors: Mapping[str, FieldPrior]
     readings: FieldReadings
-    parts: Sequence[Conditioned]
-    shares: Array
+    parts: Mapping[str, Sequence[Conditioned]]
+    shares: Mapping[str, Array]
+    together: Mapping[Lengths, Array]
     known: Array
     sites: Sequence[SiteReading]
     maps: Sequence[MapReading]
@@ -204,27 +222,26 @@ class StiffnessField:
 
     def values_of(self, parameter: str, points: Array) -> Values:
         """One of "c" (MPa), "m" and "f_kappa" at points (n, 3)."""
-        which = PARAMETERS.index(parameter)
-        places = self.limb.places(points)
+        places, shares = self.limb.places(points), self.shares[parameter]
         out = np.empty((4, len(places)))
         for start in range(0, len(places), _CHUNK):
             chunk = slice(start, start + _CHUNK)
-            mean, variance, far = self._moments(which, places.part(chunk))
-            out[0, chunk] = self.shares @ mean
-            out[1, chunk], out[2, chunk] = (quantile(q, mean, variance, self.shares) for q in (0.025, 0.975))
-            out[3, chunk] = np.clip((self.shares @ variance) / (self.shares @ far), 0.0, 1.0)
+            mean, variance, far = self._moments(parameter, places.part(chunk))
+            out[0, chunk] = shares @ mean
+            out[1, chunk], out[2, chunk] = (quantile(q, mean, variance, shares) for q in (0.025, 0.975))
+            out[3, chunk] = np.clip((shares @ variance) / (shares @ far), 0.0, 1.0)
         prior = self.priors[parameter]
         value, low, high = np.clip(np.exp(out[:3]), prior.low, prior.high)
         return Values(value, low, high, out[3])
 
-    def _moments(self, which: int, places: AnatomicalPlaces) -> tuple[Array, Array, Array]:
+    def _moments(self, parameter: str, places: AnatomicalPlaces) -> tuple[Array, Array, Array]:
         """Mean and variance of ln (n_parts, n) at places under each hypothesis; variance far away."""
-        prior = self.priors[PARAMETERS[which]]
-        shape = (len(self.parts), len(places))
+        which, parts, prior = PARAMETERS.index(parameter), self.parts[parameter], self.priors[parameter]
+        shape = (len(parts), len(places))
         mean, variance, far = np.full(shape, prior.mean), np.empty(shape), np.empty(shape)
-        between = self.to_readings(which, places, {part.hypothesis.lengths for part in self.parts})
-        for k, part in enumerate(self.parts):
-            hypothesis = part.hypothesis
+        between = self.to_readings(which, places, {part.hypotheses[which].lengths for part in parts})
+        for k, part in enumerate(parts):
+            hypothesis = part.hypotheses[which]
             total = hypothesis.variation**2 + prior.deviation**2
             variance[k], far[k] = total, total
             if not len(self.readings):
@@ -254,15 +271,21 @@ class StiffnessField:
             found[each][:, same] = between.correlation(each) @ own[:, used].T
         return found
 
+    def hypotheses(self, parameter: str) -> list[tuple[Hypothesis, float]]:
+        """The hypotheses of a parameter that are kept, with their probabilities."""
+        which = PARAMETERS.index(parameter)
+        of = [part.hypotheses[which] for part in self.parts[parameter]]
+        return list(zip(of, self.shares[parameter].tolist(), strict=True))
+
     def mean_over(self, parameter: str, points: Array) -> tuple[Array, Array]:
         """Mean and variance (n_parts,) of the mean of ln over points (q, 3), under each hypothesis."""
         which, places = PARAMETERS.index(parameter), self.limb.places(points)
-        prior = self.priors[parameter]
-        mean, variance = np.full(len(self.parts), prior.mean), np.empty(len(self.parts))
-        several = {part.hypothesis.lengths for part in self.parts}
+        prior, parts = self.priors[parameter], self.parts[parameter]
+        mean, variance = np.full(len(parts), prior.mean), np.empty(len(parts))
+        several = {part.hypotheses[which].lengths for part in parts}
         itself, between = Between(places, places), self.to_readings(which, places, several)
-        for k, part in enumerate(self.parts):
-            hypothesis = part.hypothesis
+        for k, part in enumerate(parts):
+            hypothesis = part.hypotheses[which]
             own = float(itself.correlation(hypothesis.lengths).mean())
             variance[k] = hypothesis.variation**2 * own + prior.deviation**2
             if len(self.readings):
@@ -296,16 +319,38 @@ def stiffness_field(
     readings = _gathered(limb, sites, maps)
     hypotheses = (grid or HypothesisGrid()).combinations()
     together = _averaged_correlations(readings, {each.lengths for each in hypotheses})
-    parts = [_conditioned(readings, each, priors, together[each.lengths]) for each in hypotheses]
-    logs = np.array([each.log_evidence for each in parts])
-    shares = np.exp(logs - logs.max())
-    kept = shares > _LEAST_WEIGHT
+    shares = {name: _shares(readings, name, hypotheses, priors, together) for name in PARAMETERS}
+    best = {name: hypotheses[int(np.argmax(shares[name]))] for name in PARAMETERS}
+    parts = {
+        name: [
+            conditioned(readings, tuple({**best, name: each}.values()), priors, together)
+            for each, share in zip(hypotheses, shares[name], strict=True)
+            if share
+        ]
+        for name in PARAMETERS
+    }
     of_c = [each.points for each in sites if "c" in each.values] + [each.points for each in maps]
     return StiffnessField(
-        limb, priors, readings, [part for part, keep in zip(parts, kept, strict=True) if keep],
-        shares[kept] / shares[kept].sum(), np.concatenate(of_c) if of_c else np.empty((0, 3)),
+        limb, priors, readings, parts, {name: each[each > 0] for name, each in shares.items()}, together,
+        np.concatenate(of_c) if of_c else np.empty((0, 3)),
         tuple(sites), tuple(maps),
     )  # fmt: skip
+
+
+def _shares(
+    readings: FieldReadings, parameter: str, hypotheses: Sequence[Hypothesis],
+    priors: Mapping[str, FieldPrior], together: Mapping[Lengths, Array],
+) -> Array:  # fmt: skip
+    """Posterior probability (n_hypotheses,) of each hypothesis of a parameter from its own readings; 0 where
+    it is left out."""
+    which = np.flatnonzero(readings.parameter == PARAMETERS.index(parameter))
+    own = readings.part(which)
+    inner = {lengths: each[np.ix_(which, which)] for lengths, each in together.items()}
+    n = len(PARAMETERS)
+    logs = np.array([conditioned(own, (each,) * n, priors, inner).log_evidence for each in hypotheses])
+    shares = np.exp(logs - logs.max())
+    shares[shares <= _LEAST_WEIGHT] = 0.0
+    return np.asarray(shares / shares.sum())
 
 
 def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
@@ -403,14 +448,16 @@ def _averaged_correlations(readings: FieldReadings, lengths: Iterable[Lengths]) 
     return {each: average @ between.correlation(each) @ average.T for each in lengths}
 
 
-def _conditioned(
-    readings: FieldReadings, hypothesis: Hypothesis, priors: Mapping[str, FieldPrior], together: Array
-) -> Conditioned:
+def conditioned(
+    readings: FieldReadings, hypotheses: tuple[Hypothesis, ...], priors: Mapping[str, FieldPrior],
+    together: Mapping[Lengths, Array],
+) -> Conditioned:  # fmt: skip
+    """The field under one hypothesis for each parameter; together : as of `StiffnessField`."""
     n = len(readings)
     if not n:
         empty = np.empty(0)
-        return Conditioned(hypothesis, 0.0, empty, np.empty((0, 0)), (np.empty((0, 0)), True), empty)
-    covariance = _prior_covariance(readings, hypothesis, priors, together)
+        return Conditioned(hypotheses, 0.0, empty, np.empty((0, 0)), (np.empty((0, 0)), True), empty)
+    covariance = _prior_covariance(readings, hypotheses, priors, together)
     mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
     values = readings.values.copy()
     noise = readings.noise.copy()
@@ -441,17 +488,20 @@ def _conditioned(
     if late:
         root = np.linalg.cholesky(covariance + noise)
     weights = cho_solve((root, True), values - mean)
-    return Conditioned(hypothesis, log_evidence, values, noise, (root, True), weights)
+    return Conditioned(hypotheses, log_evidence, values, noise, (root, True), weights)
 
 
 def _prior_covariance(
-    readings: FieldReadings, hypothesis: Hypothesis, priors: Mapping[str, FieldPrior], together: Array
-) -> Array:
+    readings: FieldReadings, hypotheses: Sequence[Hypothesis], priors: Mapping[str, FieldPrior],
+    together: Mapping[Lengths, Array],
+) -> Array:  # fmt: skip
     """Covariance (n, n) of the readings before the data, without the noise that they state."""
-    same = readings.parameter[:, None] == readings.parameter
-    person = np.array([priors[PARAMETERS[k]].deviation ** 2 for k in readings.parameter])
-    out = same * (hypothesis.variation**2 * together + person) + hypothesis.own_error**2 * readings.own
-    return np.asarray(out + 1e-10 * np.eye(len(readings)))
+    out = 1e-10 * np.eye(len(readings))
+    for k, each in enumerate(hypotheses):
+        block = np.ix_(*(np.flatnonzero(readings.parameter == k),) * 2)
+        out[block] += each.variation**2 * together[each.lengths][block] + priors[PARAMETERS[k]].deviation ** 2
+        out[block] += each.own_error**2 * readings.own[block]
+    return out
 
 
 def without_site(field: StiffnessField, name: str, grid: HypothesisGrid | None = None) -> StiffnessField:

@@ -198,6 +198,17 @@ def test_the_depth_that_is_told_is_that_of_the_body_in_contact() -> None:
     assert depths[-1] == pytest.approx(0.4)
 
 
+def test_a_body_under_force_has_a_load_and_no_depth() -> None:
+    model = punch("tet4", (2, 2, 2), depth=0.4, levels=1)
+    (down,) = [each for each in model.drives if each.kind == "displacement"]
+    pushed = Drive(down.body, "z", "force", -0.02, down.curve)
+    others = [each for each in model.drives if each is not down]
+    told: list[tuple[float | None, str]] = []
+    listener = Progress(lambda _kind, facts: told.append((facts["depth"], facts["aim"])))
+    Analysis(replace(model, drives=(*others, pushed)), QUICK, listener).run()
+    assert told[-1] == (None, "force 0.02 N")
+
+
 def test_augmentations_go_on_as_febios() -> None:
     """Until multipliers and gap settle, within minaug and maxaug; without a tolerance there are none."""
     model = punch("hex8", (2, 2, 2), depth=0.5, levels=1)

@@ -110,7 +110,7 @@ def test_a_failure_says_what_gave_way_and_how_far_there_is_an_answer(monkeypatch
 
     monkeypatch.setattr(Newton, "equilibrate", fails)
     monkeypatch.setattr(relaxation, "_RELAXED", 0)
-    with pytest.raises(SolveError, match=r"there is a solution up to 0\.") as caught:
+    with pytest.raises(SolveError, match=r"there is a solution up to depth 0\.") as caught:
         Analysis(model, Settings(threads=1)).run()
     reached = caught.value.facts["reached_depth_mm"]
     assert 0.5 < reached < 0.7

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,8 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, LogRecord, Support
-from limbcli.progress import SILENT
+from limbcli.progress import SILENT, Progress
+from limbcli.sockets import donning
 from limbcli.sockets.donning import FACE, SOCKET, DonningOptions, don_and_load, socket_model
 from limbcli.sockets.knee import KneeLoad
 from limbcli.solvers.febio import FebioSolver
@@ -70,6 +72,11 @@ def test_a_limb_is_donned_and_loaded_in_balance() -> None:
         np.testing.assert_allclose(state.socket_force_n[2], load, rtol=1e-4)
         assert state.imbalance_n < 1e-4 * max(load, float(np.linalg.norm(state.socket_force_n)))
         assert (state.shear_mpa <= 0.3 * state.pressure_mpa * 1.2 + 1e-6).all()
+    assert [each.aim for each in result.balance] == [
+        *("donned 17 %", "donned 33 %", "donned 50 %", "donned 67 %", "donned 83 %", "donned 100 %"),
+        *("load 0.25 N", "load 0.5 N", "load 0.75 N", "load 1 N"),
+    ]
+    assert 0.0 < result.worst.share < 1e-4, result.balance
     # the force drives the narrowing sleeve onto the limb
     assert high.socket_shift_mm[2] > low.socket_shift_mm[2]
     assert high.strain.max() > 0.0
@@ -91,6 +98,32 @@ def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: f
         float((s.facet_pressure_mpa * s.facet_area_mm2).sum()) for s in (soft.states[0], hard.states[0])
     ]
     assert 1.0 < pressed[1] / pressed[0] < 1.2
+
+
+def test_without_friction_fewer_steps_say_what_they_lead_to() -> None:
+    told: list[str] = []
+    listener = Progress(lambda kind, facts: told.append(facts["aim"]) if kind == "newton" else None)
+    options = replace(OPTIONS, loads_n=(0.5,), friction=0.0)
+    result = don_and_load(limb(), face(), options, threads=1, progress=listener)
+    assert [each.aim for each in result.balance][-1] == told[-1] == "load 0.5 N"
+    assert "donned 100 %" in told
+
+
+def test_a_loose_solve_leaves_forces_over(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What the solver leaves at free nodes is no force from outside: the balance sees it."""
+    loosely = partial(donning.prepare, tolerance=0.03, stalled=0.03)
+    monkeypatch.setattr(donning, "prepare", loosely)
+    quick = replace(OPTIONS, loads_n=(0.5,), friction=0.1)
+    assert don_and_load(limb(), face(), quick, threads=1).worst.share > 1e-4
+
+
+def test_friction_over_a_penetration_is_no_moment_left_over() -> None:
+    """It acts on the skin at one point and on the wall at another: the couple of both is counted."""
+    knee = KneeLoad((1.0, 0.0, 30.0), (0.05, -0.02, 0.0), (-0.5, 0.3, 0.0))
+    soft = replace(OPTIONS, donning_steps=3, loads_n=(0.5,), friction=0.1, penalty=3.0, knee=knee)
+    result = don_and_load(limb(), face(), soft, threads=1)
+    assert result.states[-1].penetration_mm > 0.05
+    assert result.worst.share < 1e-5, result.balance
 
 
 # FEBio 4.11.0 (tag v4.11, built from source) on the files of `socket_model` below: mean pressure (kPa) of the
@@ -139,13 +172,15 @@ def test_febio_is_asked_for_an_unsymmetric_matrix(friction: float) -> None:
 def test_shear_and_moment_at_the_knee_are_borne() -> None:
     knee = KneeLoad((1.0, 0.0, 30.0), (0.05, -0.02, 0.0), (-0.5, 0.3, 0.0))
     options = replace(OPTIONS, loads_n=(0.5,), load_steps=4, penetration_mm=0.02, knee=knee)
-    _, loaded = don_and_load(limb(), face(), options, threads=1).states
+    result = don_and_load(limb(), face(), options, threads=1)
+    _, loaded = result.states
     np.testing.assert_allclose(loaded.socket_force_n, [0.05, -0.02, 0.5], atol=1e-4)
     # the moment is that of dead loads at the socket's centre: it shifts by 0.02 mm
     about = loaded.moment_about(np.array([1.0, 0.0, 30.0]))
     np.testing.assert_allclose(about[:2], [-0.5, 0.3], atol=0.02)
     assert np.abs(loaded.socket_shift_mm[:2]).max() > 1e-3
     assert loaded.imbalance_n < 1e-4
+    assert result.worst.share < 1e-4, result.balance
 
 
 def test_a_load_that_nothing_holds_says_what_it_was() -> None:

@@ -13,8 +13,9 @@ from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.sockets.alignment import align, by_landmarks
 from limbcli.sockets.centre_line import centre_line, own_line
-from limbcli.sockets.checks import check_around, check_near, check_size, clearance
+from limbcli.sockets.checks import check_around, check_near, check_openings, check_size, clearance
 from limbcli.sockets.inner_face import inner_face
+from limbcli.sockets.knee import check_knee
 from limbcli.sockets.nearest import NearestPoints, on_triangles
 from limbcli.sockets.rectification import CHOSEN, Rectification, rectified
 
@@ -107,6 +108,31 @@ def test_a_socket_that_does_not_surround_the_limb_is_refused() -> None:
         check_around(sheet.part(sheet.centroids[:, 0] > 0.0), LINE)
     with pytest.raises(MeshError, match="of the limb's length"):
         check_around(sheet.part(sheet.centroids[:, 2] < 10.0), LINE)
+
+
+def test_a_socket_that_opens_at_the_wrong_end_or_twice_is_refused() -> None:
+    sheet = stump(top=110.0)
+    check_openings(sheet.flipped(), LINE)
+    upside_down = Triangles(sheet.points * [1.0, 1.0, -1.0] + [0.0, 0.0, 110.0], sheet.faces)
+    with pytest.raises(MeshError, match="opens at the limb's distal end"):
+        check_openings(upside_down, LINE)
+    with pytest.raises(MeshError, match="besides its brim it has a hole"):
+        check_openings(sheet.part(sheet.centroids[:, 2] > 20.0).flipped(), LINE)
+
+
+@pytest.mark.parametrize(
+    ("centre", "words"),
+    [
+        ((90.0, 0.0, 140.0), "beside the limb's middle"),
+        ((0.0, 0.0, -40.0), "below the limb's distal end"),
+        ((0.0, 0.0, 600.0), "above the proximal cut"),
+    ],
+)
+def test_a_knee_centre_outside_the_limb_is_refused(centre: tuple[float, float, float], words: str) -> None:
+    check_knee(np.array([5.0, 5.0, 190.0]), LINE)  # images may end below the knee
+    with pytest.raises(CaseError, match=words) as caught:
+        check_knee(np.array(centre), LINE)
+    assert "patient LPS" in caught.value.fix
 
 
 def test_clearance_is_positive_where_there_is_room() -> None:

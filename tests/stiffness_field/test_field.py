@@ -233,6 +233,25 @@ def test_points_may_come_in_any_order_and_in_any_number(coordinates, points):
 # ---------------------------------------------------------------- calibration
 
 
+def test_an_even_m_says_nothing_of_how_much_c_varies(coordinates, points):
+    """Sites whose m and f_kappa are all alike leave the interval of a varying c as it is without them."""
+    alike = {"m": Interval(3.0, 2.5, 3.6), "f_kappa": Interval(20.0, 16.0, 25.0)}
+    values = (0.006, 0.015, 0.009, 0.022, 0.007, 0.018, 0.011, 0.025)
+    regions = [limb.region(*each) for each in limb.EIGHT]
+    fields = [
+        stiffness_field(
+            coordinates,
+            [
+                limb.site(f"p{k}", where, c, 0.1, **more)
+                for k, (where, c) in enumerate(zip(regions, values, strict=True))
+            ],
+        ).at(points[:40])
+        for more in ({}, alike)
+    ]
+    np.testing.assert_allclose(fields[1].c_low, fields[0].c_low, rtol=1e-6)
+    np.testing.assert_allclose(fields[1].c_high, fields[0].c_high, rtol=1e-6)
+
+
 @pytest.mark.slow
 def test_the_interval_holds_the_truth_as_often_as_said(coordinates):
     """Fields of five other kinds, eight sites with noise: 90 to 99 % of the points inside, and the sites left
@@ -263,7 +282,7 @@ def test_of_fields_drawn_from_the_prior_itself_95_in_100_points_are_inside(coord
     for k in range(prior.n):
         rng, truth = np.random.default_rng([5, k]), prior.draw(k)
         points = limb.tissue_points(60, rng)
-        own = 0.1 * rng.standard_normal(8) + truth.part.hypothesis.own_error * rng.standard_normal(8)
+        own = 0.1 * rng.standard_normal(8) + truth.part.hypotheses[0].own_error * rng.standard_normal(8)
         means = [truth.logs(coordinates.places(each))[:, 0].mean() for each in regions]
         c = np.exp(np.array(means) + own)
         sites = [

@@ -306,17 +306,20 @@ class LoadStepping:
         return best
 
     def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
-        """The error, completed with its load step, the likely cause and the depth reached."""
+        """The error, completed with its load step, the likely cause and the depth or force reached."""
         newton, n_reached = self._newton, len(self._reached) - 1
-        place = load_step.at(time, newton.depth_at(time))
+        aim = newton.system.prescribed(newton.system.start, time)
+        place = load_step.at(time, newton.reached(aim))
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
         depth = newton.depth(self._reached[-1])
-        reported = f"; there is a solution up to {depth:.2f} mm" if n_reached and depth else ""
+        words = newton.reached(self._reached[-1])
+        reported = f"; there is a solution up to {words}" if n_reached and words else ""
         cause = "a part of the tissue, or a rigid body, can move freely"
         fix = error.fix
         if n_reached:
             cause = newton.weakness(self._reached[-1])
-            fix = "reduce the depth; check the mesh there; or use a lower contact penalty"
+            less = "load" if depth is None else "depth"
+            fix = f"reduce the {less}; check the mesh there; or use a lower contact penalty"
         return SolveError(
             what + reported,
             where=f"{error.where}; {cause}",

@@ -239,6 +239,8 @@ class Newton:
             residual=forces.error,
             target=self.settings.tolerance,
             depth=load_step.depth,
+            aim=load_step.aim,
+            time=load_step.time,
             krylov=self.counts.krylov,
             factorisations=self.counts.factorisations,
         )
@@ -265,7 +267,7 @@ class Newton:
             node = int(np.argmax((size**2).sum(axis=1)))
             place, what = (system.X + state.u)[node], f"largest at node {system.model.mesh.node_id(node)}"
         return NotConverged(
-            f"{load_step.at(state.time, self.depth(state))}"
+            f"{load_step.at(state.time, self.reached(state))}"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
             where=f"{what}, at {_mm(place)}",
@@ -275,15 +277,32 @@ class Newton:
             depth=load_step.depth,
         )
 
-    def depth(self, state: State) -> float:
-        """Indentation depth (mm) of the first contact's body, or else of the first body; 0 without bodies."""
+    def depth(self, state: State) -> float | None:
+        """Indentation depth (mm) of the first contact's body, or else of the first body; None unless that is
+        moved along z."""
         system = self.system
         b = system.pairs[0].body if system.pairs else 0
-        return -float(system.center(b, state)[2]) if system.bodies else 0.0
+        drive = system.bodies[b].drives.get("z") if system.bodies else None
+        if drive is None or drive.kind != "displacement":
+            return None
+        return -float(system.center(b, state)[2])
 
-    def depth_at(self, time: float) -> float:
-        """The prescribed indentation depth (mm) at a time."""
-        return self.depth(self.system.prescribed(self.system.start, time))
+    def reached(self, state: State) -> str:
+        """Depth, or else the force applied, of the first contact's (or the first) body in words; "" where it
+        has neither."""
+        depth = self.depth(state)
+        if depth is not None:
+            return f"depth {depth:.2f} mm"
+        if not self.system.bodies:
+            return ""
+        b = self.system.pairs[0].body if self.system.pairs else 0
+        size = float(np.linalg.norm(self.system.applied(state.time)[b, :3]))
+        return f"force {size:.4g} N" if size else ""
+
+    def load_step(self, number: int, n_steps: int, time: float) -> LoadStep:
+        """The load step that ends at a time."""
+        aim = self.system.prescribed(self.system.start, time)
+        return LoadStep(number, n_steps, self.depth(aim), self.reached(aim), time)
 
     def weakness(self, state: State) -> str:
         """The likely reason, with its location, why no equilibrium was found beyond a state."""

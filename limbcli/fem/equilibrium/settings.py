@@ -53,12 +53,20 @@ class WorkLimit(Protocol):
 
 @dataclass(frozen=True)
 class LoadStep:
-    """Number and depth (mm) of a load step, for messages."""
+    """Number of a load step and what it aims at, for messages.
+
+    depth : of a body that is pressed in, mm; None where none is
+    aim : the depth or the force of the body, in words; "" where it has neither
+    time : at its end
+    """
 
     number: int
     n_steps: int
-    depth: float
+    depth: float | None
+    aim: str = ""
+    time: float = 0.0
 
-    def at(self, time: float, depth: float) -> str:
-        """Text for a time on the way to this load step and the depth (mm) there."""
-        return f"load step {self.number} of {self.n_steps} (time {time:.6g}, depth {depth:.2f} mm)"
+    def at(self, time: float, reached: str) -> str:
+        """Text for a time on the way to this load step, and what is reached there."""
+        words = f", {reached}" if reached else ""
+        return f"load step {self.number} of {self.n_steps} (time {time:.6g}{words})"

@@ -18,6 +18,7 @@ from limbcli.reporting.sections.fibres import fibres
 from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.joint import joint, laws
 from limbcli.reporting.sections.layers import layers
+from limbcli.reporting.sections.limb import limb
 from limbcli.reporting.sections.mesh import mesh
 from limbcli.reporting.sections.methods import methods
 from limbcli.reporting.sections.numerics import elements, mesh_study
@@ -52,11 +53,11 @@ def groups(
     """
     sites = [_site(page, site) for site in page.sites]
     together = [each for make in (joint, laws) if (each := make(page)) is not None]
-    pressed = socket(page)
+    whole = [each for make in (limb, socket) if (each := make(page)) is not None]
     chapters = (
         SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
         *sites,
-        *([SectionGroup("chapter-socket", "Socket", (pressed,))] if pressed else ()),
+        *([SectionGroup("chapter-limb", "Whole limb", tuple(whole))] if whole else ()),
         SectionGroup("chapter-segmentation", "Segmentation", (segmentation(page),)),
         SectionGroup("chapter-provenance", "Provenance", (methods(page, own), provenance(page, own))),
     )

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from limbcli.case.socket import KneeInput, SocketInput
-from limbcli.errors import CaseError, MeshError
+from limbcli.errors import CaseError
 from limbcli.meshing.limb_parts import LimbFrame
-from limbcli.meshing.mending import open_rims
 from limbcli.meshing.surfaces import Triangles, merge_points, read_surface
 from limbcli.meshing.whole_limb import HELD
 from limbcli.model import Array, IntArray, LimbModel
@@ -21,19 +20,19 @@ from limbcli.sockets.checks import (
     Clearance,
     check_around,
     check_near,
+    check_openings,
     check_room,
     check_size,
     clearance,
 )
 from limbcli.sockets.inner_face import inner_face
-from limbcli.sockets.knee import KneeLoad, knee_centre
+from limbcli.sockets.knee import KneeLoad, check_knee, knee_centre
 from limbcli.sockets.liner import LINER, Liner, grown, with_liner
 from limbcli.sockets.rectification import Rectification, rectified
 
 TO_TIP = np.array([0.0, 0.0, -1.0])
 PATCH, _LANDMARK, _TIBIA = "patch_", "landmark_", "bone_tibia"
 _BELOW_CUT_MM = 20.0  # a socket made from the skin ends this far below the proximal cut
-_HOLE = 0.1  # of a face's extent: a larger hole besides its opening is refused
 _NEAR_CUT_MM = 15.0  # the held cut disturbs the pressures this far
 
 
@@ -107,17 +106,18 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
             check_room(clearance(face, skin, line, where=where), skin, given.liner.thickness)
         words += f"; a liner of {given.liner.thickness:g} mm is bonded to the skin"
         limb, touching = with_liner(limb, Liner(**vars(given.liner))), LINER
-    knee = None if given.knee is None else _knee_load(limb, frame, given.knee)
+    knee = None if given.knee is None else _knee_load(limb, frame, line, given.knee)
     return LimbInSocket(
         limb=limb, frame=frame, skin=skin, points=points, face=face, fit=fit, words=words,
         alignment=alignment, touching=touching, knee=knee,
     )  # fmt: skip
 
 
-def _knee_load(limb: LimbModel, frame: LimbFrame, given: KneeInput) -> KneeLoad:
+def _knee_load(limb: LimbModel, frame: LimbFrame, line: CentreLine, given: KneeInput) -> KneeLoad:
     """What acts on the socket: the opposite of what the thigh does to the limb."""
     if given.centre is not None:
         centre = frame.upright(np.array([given.centre]))[0]
+        check_knee(centre, line)
     else:
         tibia = limb.mesh.node_sets.get(_TIBIA, np.zeros(0, np.int64))
         found = knee_centre(limb.mesh.points[tibia], _top(limb)) if len(tibia) else None
@@ -215,7 +215,7 @@ def _from_file(
         placed = Triangles(frame.upright(surface.points), surface.faces)
         check_near(placed, skin, where=where)
         face = inner_face(placed, line, where=where)
-    _refuse_holes(face, line, where)
+    check_openings(face, line, where=where)
     return face, alignment
 
 
@@ -232,22 +232,6 @@ def _pairs(limb: LimbModel, given: Mapping[str, tuple[float, float, float]]) -> 
             fix=f"use some of {', '.join(sorted(known))}, or `align = true`",
         )
     return np.array(list(given.values())), np.array([known[name] for name in given])
-
-
-def _refuse_holes(face: Triangles, line: CentreLine, where: str) -> None:
-    """Refuse an inner face that is open elsewhere than at its brim."""
-    extent = float(np.linalg.norm(np.ptp(face.points, axis=0)))
-    rims = sorted(open_rims(face), key=lambda rim: float(line.height(rim[0][None])[0]))  # the brim first
-    holes = [(place, size) for place, size in rims[1:] if size > _HOLE * extent]
-    if holes:
-        place, size = max(holes, key=lambda rim: rim[1])
-        raise MeshError(
-            f"the socket is open: besides its brim it has a hole {size:.0f} mm wide at "
-            f"({', '.join(f'{each:.0f}' for each in place)}) of the limb's upright frame",
-            where=where,
-            fix="close it in the program that made it; the limb must not bulge through it",
-            hole_mm=float(size),
-        )
 
 
 def _warn_at_cut(limb: LimbModel, face: Triangles, writer: StageWriter) -> None:

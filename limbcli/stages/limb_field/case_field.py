@@ -76,13 +76,13 @@ class CaseField:
             },
             "hypotheses": [
                 {
-                    "length_along_mm": part.hypothesis.lengths.height_mm,
-                    "length_around_rad": part.hypothesis.lengths.around,
-                    "length_depth": part.hypothesis.lengths.depth,
-                    "variation_of_ln": part.hypothesis.variation,
-                    "own_error_of_ln": part.hypothesis.own_error, "probability": float(share),
+                    "parameter": name, "length_along_mm": each.lengths.height_mm,
+                    "length_around_rad": each.lengths.around, "length_depth": each.lengths.depth,
+                    "variation_of_ln": each.variation, "own_error_of_ln": each.own_error,
+                    "probability": share,
                 }
-                for part, share in zip(field.parts, field.shares, strict=True)
+                for name in field.parts
+                for each, share in field.hypotheses(name)
             ],
             "held_out": {
                 "words": tested.words, "n_inside": tested.n_inside, "n": len(tested.sites), "p": tested.p,

@@ -1,0 +1,67 @@
+"""Is the model of the whole limb right: its shape, its named parts, and its stiffness?"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from limbcli.reporting.numbers import DASH, quantity
+from limbcli.reporting.report_data import ReportData
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+
+TITLE = "Is the model of the whole limb right?"
+_CAPTION = (
+    "each coloured patch over its bone, the limb upright with its distal end below; sites left out and "
+    "predicted from the others inside their intervals",
+    "a patch on the wrong side, a bone cut off where it should end, a limb of elements that are all assumed: "
+    "its stiffness then is no measurement",
+)
+
+
+def limb(page: ReportData) -> Reportlet | None:
+    """Picture of the named parts, and where the stiffness comes from; None if `limb` was not run."""
+    outcome = page.outcomes.maybe("limb")
+    if outcome is None:
+        return None
+    result = outcome.usable
+    if result is None:
+        return placeholder("limb", TITLE, outcome)
+    picture = result.path("picture") if "picture" in result.files else None
+    alt = "The limb's model from four sides, its named patches and the sites."
+    shown = picture is not None and picture.is_file()
+    look_for, bad = _CAPTION
+    return Reportlet(
+        "limb",
+        TITLE,
+        "warning" if result.warnings else "neutral",
+        pictures=(Picture("limb", alt, source=picture, vector=False),) if shown else (),
+        tables=(_stiffness(result.data["stiffness"]), *_left_out(result.data["stiffness"].get("field"))),
+        look_for=look_for,
+        bad=bad,
+        notes=result.summary,
+        warned=result.warnings,
+    )
+
+
+def _stiffness(data: Mapping[str, Any]) -> PageTable:
+    """Mean c and the share of the elements by where their c comes from."""
+    counts = {name: int(n) for name, n in data["elements"].items()}
+    total = max(sum(counts.values()), 1)
+    names = head("mean c", *(f"{name} elements" for name in counts))
+    shares = (Cell(f"{100 * n / total:.0f} %") for n in counts.values())
+    row = (Cell(quantity(float(data["c_kpa"]), "kPa", digits=3), lead=True), *shares)
+    return PageTable(f"Stiffness of the tissue: {data['source']}", (names,), (row,))
+
+
+def _left_out(field: Mapping[str, Any] | None) -> tuple[PageTable, ...]:
+    """Each site predicted from the others; none without a field."""
+    sites = ((field or {}).get("held_out") or {}).get("sites") or ()
+    rows = []
+    for each in sites:
+        low, high = each["predicted_95_kpa"]
+        inside = "inside" if each["inside"] else "outside"
+        predicted = f"{each['predicted_kpa']:.1f} ({low:.1f} to {high:.1f})"
+        c = Cell(f"{each['c_kpa']:.1f}") if each["c_kpa"] else Cell(DASH, reason="not known")
+        rows.append((Cell(each["site"], lead=True), c, Cell(predicted), Cell(inside)))
+    names = head("site left out", "its c", "c from the others (95 %)", "interval")
+    return (PageTable("Each site predicted without itself, kPa", (names,), tuple(rows)),) if rows else ()
