@@ -17,7 +17,7 @@ from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, remembers
 from limbcli.fem.equilibrium.newton import Counts, Newton, Settings
-from limbcli.fem.equilibrium.settings import WorkLimit
+from limbcli.fem.equilibrium.settings import LoadStep, WorkLimit
 from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State

@@ -224,9 +224,7 @@ def don_and_load(
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)
-    analysis = prepare(
-        model, _told(progress, options), threads=threads, slip_as_febio=options.slip_as_febio
-    )
+    analysis = prepare(model, _told(progress, options), threads=threads, slip_as_febio=options.slip_as_febio)
     states: list[SocketState] = []
     balance: list[StepBalance] = []
     arm = 0.5 * float(np.linalg.norm(np.ptp(face.points, axis=0)))
@@ -455,7 +453,7 @@ def _balance(running: Analysis, snapshot: Snapshot, aim: str, arm: float) -> Ste
     force, moment = _left(system, snapshot.state, system.forces_found(snapshot.state))
     (pair,) = system.pairs
     couple = sum((_couple(each, system.X + snapshot.state.u) for each in pair.patches), np.zeros(3))
-    pressed = sum(float(a @ p) for a, p, _ in map(_tractions, pair.patches))
+    pressed = sum(float(a @ p) for a, p, _ in map(tractions, pair.patches))
     return StepBalance(
         aim, pressed, float(np.linalg.norm(force)), float(np.linalg.norm(moment - couple)), arm
     )
