@@ -33,8 +33,8 @@ from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention,
 from limbcli.effects.base import Effect
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.files.atomic import atomic_file, sha256
-from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_trace
+from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes

@@ -19,7 +19,7 @@ from limbcli.diagnosis.explanations.check import Check
 from limbcli.diagnosis.explanations.conclusions.sentences import recommended
 from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnosis.explanations.model.noise import CommonError
-from limbcli.diagnosis.explanations.search import Explained
+from limbcli.diagnosis.explanations.probabilities import Explained
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.mesh_error.numerical_checks import f_kappa_at

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from limbcli.feb.ids import number
-from limbcli.numbers.formulas import Formula
+from limbcli.numbers.math_expressions import Formula
 
 Amount = float | Formula
 

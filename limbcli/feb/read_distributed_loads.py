@@ -15,7 +15,7 @@ from limbcli.feb.amounts import Amount, against
 from limbcli.feb.read_loads import Scene, flag
 from limbcli.feb.xml import Tag
 from limbcli.model import Load
-from limbcli.numbers.formulas import Formula
+from limbcli.numbers.math_expressions import Formula
 
 _AXES = ("x", "y", "z")
 _KNOWN = (

@@ -21,7 +21,7 @@ from limbcli.model import (
     Value,
 )
 from limbcli.model.bodies import Contact, Drive, RigidBody, Spring
-from limbcli.numbers.formulas import Formula
+from limbcli.numbers.math_expressions import Formula
 from limbcli.numbers.units import SYSTEMS
 
 _STRESSES = frozenset(

@@ -18,7 +18,7 @@ from limbcli.feb.notes import ReadingNotes
 from limbcli.files.unpacking import DAMAGED, UnpackingBudget
 from limbcli.files.xml import mixed_text, parsed_xml
 from limbcli.model import Array, IntArray
-from limbcli.numbers.formulas import VARIABLES, Formula, FormulaError, split_outside_brackets
+from limbcli.numbers.math_expressions import VARIABLES, Formula, FormulaError, split_outside_brackets
 
 UNITS = "mm-N-s"
 VERSION, OLDER_VERSIONS = "4.0", ("3.0", "2.5")  # format of model files, and those converted to it

@@ -22,7 +22,7 @@ from limbcli.fitting.geometry_variations import Variation, depth_deviation, shap
 from limbcli.meshing.rods import Rod
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.freshness import key_of
+from limbcli.provenance.batch_memory import key_of
 from limbcli.results import StageWriter, plain, read_result, stage_folder
 from limbcli.solvers.session import ReferenceSession
 

@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.inference.prediction import Prediction
 from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import model_hash
-from limbcli.provenance.freshness import code_hash, key_of
+from limbcli.provenance.batch_memory import code_hash, key_of
 from limbcli.solvers.solve_folder import SolveFolder
 
 if TYPE_CHECKING:

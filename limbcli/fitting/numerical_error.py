@@ -11,7 +11,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.model import LimbModel
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageWriter, read_result, stage_folder
 
 # Relative error of the force due to the mesh: for tet10 the change with refinement and with the

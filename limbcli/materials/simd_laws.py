@@ -14,14 +14,12 @@ from limbcli.materials.dispatch import second_piola
 from limbcli.materials.kernel import OGDEN
 from limbcli.materials.ogden import all_squares
 from limbcli.materials.simd import LANES, add_product, add_three
-from limbcli.materials.simd_powers import add_powers, principal_stretches
+from limbcli.materials.simd_ogden import add_powers, add_pressure, add_squares, principal_stretches
 from limbcli.materials.simd_rows import (
     ALPHA,
     BETA,
     CC,
     KAPPA,
-    MINUS,
-    PLUS,
     SHIFT,
     UPPER,
     C,
@@ -85,9 +83,9 @@ def add_laws(w, ops, par, rows, tangent, place, six, square, work):
         for l in range(LANES):
             w[KAPPA * LANES + l] = par[rows[l], off]
             squares &= all_squares(par[rows[l]], off, n_terms)
-        _add_pressure(w)
+        add_pressure(w)
         if squares:
-            _add_squares(w, par, rows, off, n_terms)
+            add_squares(w, par, rows, off, n_terms)
             continue
         if not spectral:
             principal_stretches(w)
@@ -107,48 +105,6 @@ def _add_by_points(w, ops, par, rows, tangent, place, six, square, work):
             for p in range(6):
                 for q in range(p, 6):
                     w[(CC + UPPER[p, q]) * LANES + l] += square[p, q]
-
-
-@njit
-def _add_pressure(w):
-    """kappa (J - 1) as a Cauchy pressure."""
-    for l in range(LANES):
-        kappa, jac = w[KAPPA * LANES + l], w[J * LANES + l]
-        w[BETA * LANES + l] += kappa * (jac - 1.0) * jac
-        w[ALPHA * LANES + l] += kappa * (2.0 * jac - 1.0) * jac
-
-
-@njit
-def _add_squares(w, par, rows, off, n_terms):
-    """Terms with exponents 2 and -2: c+/2 (1 - D) + c-/2 (D - D^2); c+, c-: sums of c_k with either sign of
-    exponent."""
-    w[PLUS * LANES : (MINUS + 1) * LANES] = 0.0
-    for l in range(LANES):
-        for k in range(n_terms):
-            row = PLUS if par[rows[l], off + 2 + 2 * k] > 0.0 else MINUS
-            w[row * LANES + l] += 0.5 * par[rows[l], off + 1 + 2 * k]
-    for l in range(LANES):
-        plus, minus = w[PLUS * LANES + l], w[MINUS * LANES + l]
-        w[BETA * LANES + l] += minus - plus
-        at = D * LANES + l
-        a, b, c = w[at], w[at + LANES], w[at + 2 * LANES]
-        d, e, f = w[at + 3 * LANES], w[at + 4 * LANES], w[at + 5 * LANES]
-        xx, yy, zz = a * a + d * d + f * f, d * d + b * b + e * e, f * f + e * e + c * c
-        xy, yz, xz = a * d + d * b + f * e, d * f + b * e + e * c, a * f + d * e + f * c
-        at = X * LANES + l
-        w[at] += minus * xx
-        w[at + LANES] += minus * yy
-        w[at + 2 * LANES] += minus * zz
-        w[at + 3 * LANES] += minus * xy
-        w[at + 4 * LANES] += minus * yz
-        w[at + 5 * LANES] += minus * xz
-        at = S * LANES + l
-        w[at] += plus - minus * xx
-        w[at + LANES] += plus - minus * yy
-        w[at + 2 * LANES] += plus - minus * zz
-        w[at + 3 * LANES] -= minus * xy
-        w[at + 4 * LANES] -= minus * yz
-        w[at + 5 * LANES] -= minus * xz
 
 
 @njit

@@ -1,4 +1,4 @@
-"""Shear-wave elastography: speeds, maps, and the stiffness derived from them.
+"""Shear-wave elastography: speeds and maps.
 
 A map is in the probe's frame: `lateral` along its long side from its centre, `depth` down from its face, both
 mm, in the tissue as deformed at that force level.
@@ -17,7 +17,6 @@ from limbcli.errors.problems import Problem, checked, raise_errors
 from limbcli.files.atomic import atomic_file
 from limbcli.measurement.tables import RawTable, problem, read_table
 from limbcli.model import Array
-from limbcli.numbers import units
 
 COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")
 SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S = 0.3, 20.0
@@ -25,45 +24,6 @@ _MAX_LATERAL, _MAX_DEPTH = 75.0, 120.0
 _SHOWN = 4
 _WIDEST = 1.3  # largest ratio of the half width of a map to that of the probe
 _AT_ODDS = 1.3  # largest ratio, either way, of a map's mean to that in levels.csv
-
-
-def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m3: float = 1000.0) -> Array:
-    """Small-strain shear modulus from the shear-wave speed.
-
-    mu = rho * v**2: linear, isotropic, unbounded, lossless tissue. In a thin or pre-stretched layer this is
-    biased.
-
-    Parameters
-    ----------
-    wave_speed_m_per_s : array, shape (n_samples,), m/s, > 0
-    density_kg_per_m3 : float, kg/m^3
-
-    Returns
-    -------
-    array, shape (n_samples,), MPa
-
-    Raises
-    ------
-    MeasurementError
-        If a speed is not finite and positive (index and value given).
-
-    Source: Sarvazyan et al. 1998, Ultrasound Med Biol 24:1419.
-
-    >>> shear_modulus_from_wave_speed(np.array([2.0]))
-    array([0.004])
-    """
-    speed = np.asarray(wave_speed_m_per_s, dtype=float)
-    wrong = np.flatnonzero(~(np.isfinite(speed) & (speed > 0)).ravel())
-    if len(wrong):
-        value = float(speed.ravel()[wrong[0]])
-        raise MeasurementError(
-            f"the shear-wave speed of sample {wrong[0]} is {value:g} m/s, not a positive number",
-            where="shear-wave speeds",
-            fix="omit the sample, or correct it (m/s)",
-            index=int(wrong[0]),
-            value_m_per_s=value,
-        )
-    return units.mpa_from_pa(density_kg_per_m3 * speed**2)
 
 
 @dataclass(frozen=True, eq=False)

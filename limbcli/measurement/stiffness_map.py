@@ -14,7 +14,8 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from scipy.spatial import cKDTree
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.elastography import SweMap, shear_modulus_from_wave_speed
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array
 
 SMOOTHING, FADE = 3.0, 6.0

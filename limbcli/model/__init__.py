@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from limbcli.errors import CaseError
 from limbcli.model.bodies import Contact, Drive, RigidBody, Spring
-from limbcli.numbers.formulas import Formula
+from limbcli.numbers.math_expressions import Formula
 
 Array = NDArray[np.float64]
 IntArray = NDArray[np.int64]

@@ -20,13 +20,12 @@ from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
 from limbcli.files.unpacking import DAMAGED, UnpackingBudget, read_npz
 from limbcli.model import LimbModel, bodies
-from limbcli.numbers import formulas
 from limbcli.results import plain
 
 FORMAT = 1
 _TYPES = {
     each.__name__: each
-    for module in (bodies, formulas, nouns)
+    for module in (bodies, math_expressions, nouns)
     for each in vars(module).values()
     if isinstance(each, type) and dataclasses.is_dataclass(each) and each.__module__ == module.__name__
 }

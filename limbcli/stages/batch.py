@@ -18,9 +18,9 @@ from limbcli.errors import CaseError, LimbError
 from limbcli.errors.commands import pasted
 from limbcli.files.atomic import sha256
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
-from limbcli.provenance.freshness import Memory, code_hash, key_of
+from limbcli.provenance.batch_memory import Memory, code_hash, key_of
 from limbcli.provenance.requested_options import in_words, options_of
+from limbcli.provenance.staleness import Chain
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error

@@ -20,17 +20,17 @@ from limbcli.errors import MeasurementError
 from limbcli.feb.settings import Schedule, schedule
 from limbcli.feb.write import write_feb
 from limbcli.files.atomic import sha256
-from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.regression import speed_against_force
+from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import LimbModel
 from limbcli.model.abaqus_input import write_abaqus
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import note_templates, noted
 from limbcli.provenance.requested_options import requested_by_options, requested_of
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.indentation_model import (
     C_KPA,

@@ -44,9 +44,9 @@ from limbcli.effects.base import NUMERICAL
 from limbcli.effects.own_file import effect_of_file
 from limbcli.errors import CaseError, LimbError, errors_of_site
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import check_earlier, note_earlier
 from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import requested_by_options
+from limbcli.provenance.staleness import check_earlier, note_earlier
 from limbcli.results import StageResult, open_stage, plain, read_result
 from limbcli.site_model.cycle_words import cycle_facts
 from limbcli.site_model.segmented_limb import site_position

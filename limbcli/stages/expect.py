@@ -36,7 +36,7 @@ from limbcli.case import Case
 from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.problems import suggestion
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, read_result
 
 EXPECTED_FILE = "expected.toml"

@@ -53,8 +53,8 @@ from limbcli.measurement.speed_noise import mean_speed_deviation
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.numbers.interval_limits import Flag
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import note_templates, noted
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.indentation_model import with_penalty, with_tissue
 from limbcli.site_model.site_layers import held_layers

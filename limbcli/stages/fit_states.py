@@ -26,7 +26,7 @@ from limbcli.inference.adaptive import Intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.inference.states import StateMeasurement, StatesProblem, StatesTask, states_fit
-from limbcli.measurement.elastography import shear_modulus_from_wave_speed
+from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted

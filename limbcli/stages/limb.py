@@ -36,9 +36,9 @@ from limbcli.model.bodies import Drive, RigidBody
 from limbcli.numbers.mesh_bounds import LIMB_NODES
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import note_templates, noted
 from limbcli.provenance.requested_options import requested_of
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.indentation_model import TISSUE
 from limbcli.site_model.segmented_limb import site_position

@@ -25,9 +25,9 @@ from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
 from limbcli.model.npz_file import save_model
 from limbcli.numbers.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import requested_of
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.fibres import with_fibres, write_fibres
 from limbcli.site_model.mesh_checks import (

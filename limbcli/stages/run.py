@@ -16,9 +16,9 @@ from limbcli.feb.runnable import Runnable, runnable
 from limbcli.files.atomic import atomic_folder, sha256
 from limbcli.measurement.indentation import Levels
 from limbcli.progress import PROGRESS_FILE, SILENT, Progress, recorded
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import noted
 from limbcli.provenance.requested_options import requested_by_options
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
 from limbcli.site_model.site_levels import levels_of
 from limbcli.solvers import choose

@@ -19,9 +19,9 @@ from limbcli.model.npz_file import load_model
 from limbcli.numbers.mesh_bounds import PENETRATION_MM
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import note_templates, noted
 from limbcli.provenance.requested_options import requested_of
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.sockets.alignment import misplaced
 from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load

@@ -29,7 +29,7 @@ from limbcli.phantom.measured_files import write_levels, write_readings
 from limbcli.phantom.noise import Readings, measure
 from limbcli.phantom.protocol import TrueLevels
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, provenance, read_result, stage_folder
 from limbcli.site_model.indentation_model import with_penalty
 from limbcli.site_model.site_layers import MRI, held_layers

@@ -13,8 +13,9 @@ from itertools import pairwise
 import numpy as np
 
 from limbcli.errors import FitError, MeasurementError
-from limbcli.measurement.elastography import SweMap, shear_modulus_from_wave_speed
+from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.map_noise import PixelNoise
+from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array
 from limbcli.stiffness_field.likelihood import Interval, likelihood_of
 

@@ -17,7 +17,7 @@ from limbcli.diagnosis.data.rows import ExtraMeasurement
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.conclusions.sentences import recommended
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.explanations.search import containing
+from limbcli.diagnosis.explanations.probabilities import containing
 from limbcli.diagnosis.forward_model.measurement_menu import ROTATE, items
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves

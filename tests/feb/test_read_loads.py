@@ -12,7 +12,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.motion.load_curves import value
 from limbcli.model import Load
-from limbcli.numbers.formulas import Formula
+from limbcli.numbers.math_expressions import Formula
 
 
 def with_loads(punch: Path, folder: Path, loads: str, *more: tuple[str, str]) -> Path:

@@ -17,7 +17,7 @@ from limbcli.fem.record_fields import cell_fields
 from limbcli.fem.system import System
 from limbcli.model import Block, Domain, LimbModel, Load, Material, Mesh, Support, Surface
 from limbcli.model.bodies import Drive, RigidBody
-from limbcli.numbers.formulas import Formula
+from limbcli.numbers.math_expressions import Formula
 
 TIGHT = Settings(tolerance=1e-11, threads=1)
 NEO = Material("neo_hooke", {"mu": 0.01, "lambda": 0.02}, density=1e-9)

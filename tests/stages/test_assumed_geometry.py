@@ -19,7 +19,7 @@ from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.rods import Rod, tube
 from limbcli.meshing.surfaces import Triangles
 from limbcli.phantom.protocol import LoadingProtocol
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import read_result
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check

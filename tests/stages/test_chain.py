@@ -19,8 +19,8 @@ from limbcli.cli.app import main
 from limbcli.errors import CaseError, ToolError
 from limbcli.files.atomic import sha256
 from limbcli.provenance import chain as chain_module
-from limbcli.provenance.chain import Chain, note_earlier
 from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.staleness import Chain, note_earlier
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages import build_feb as build_feb_module
 from limbcli.stages import diagnose as diagnose_module

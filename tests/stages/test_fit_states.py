@@ -16,7 +16,7 @@ from limbcli.inference.derived import derived_interval
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import best_of
 from limbcli.inference.residual import Residual
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult
 from limbcli.site_model.site_states import states_of
 from limbcli.stages.expect import compare

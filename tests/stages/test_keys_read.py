@@ -13,7 +13,7 @@ import pytest
 from limbcli.case import Case
 from limbcli.case.noting import noting, unnoted, with_values
 from limbcli.diagnosis.prepare import _Preparation
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, read_result, sealed
 from limbcli.stages import diagnose as diagnose_module
 from limbcli.stages.build_feb import build_feb

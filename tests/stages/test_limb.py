@@ -220,7 +220,7 @@ def test_bones_are_fixed_and_the_cut_is_held(made):
 
 
 def test_a_change_of_the_surfaces_makes_the_result_stale(made, tmp_path):
-    from limbcli.provenance.chain import Chain
+    from limbcli.provenance.staleness import Chain
 
     case, out, result = made
     assert Chain(case, out).broken(read_result(out, "limb")) is None

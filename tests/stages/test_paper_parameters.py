@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
-from limbcli.measurement.elastography import shear_modulus_from_wave_speed
 from limbcli.measurement.indentation import read_levels
+from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.meshing.elements import with_element
 from limbcli.model.npz_file import load_model
 from limbcli.stages.mesh import mesh

@@ -9,8 +9,8 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.staleness import Chain
 from limbcli.reporting.outcome import read_outcomes
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.report_pages.stale import _altered_pictures

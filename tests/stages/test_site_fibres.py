@@ -226,7 +226,7 @@ def test_vtu_and_page_show_them_and_they_turn_with_the_tissue(made, model, tmp_p
 def test_another_direction_makes_the_mesh_stale(made):
     folder, out = made
     case = case_with(folder, TOLD.replace("2.0", "1.0"))
-    from limbcli.provenance.chain import Chain
+    from limbcli.provenance.staleness import Chain
 
     with pytest.raises(CaseError, match="fibres of site p1 changed"):
         Chain(case, out).result("mesh", site="p1")

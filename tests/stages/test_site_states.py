@@ -12,8 +12,8 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.fitting.state_plan import plan_of
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.progress import SILENT
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.chain_inputs import noted
+from limbcli.provenance.staleness import Chain
 from limbcli.results import open_stage, read_result
 from limbcli.site_model.site_states import states_of
 from limbcli.stages.batching.outcome import BatchOptions

@@ -19,7 +19,7 @@ from limbcli.feb.read import read_feb
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model.npz_file import load_model
 from limbcli.progress import SILENT
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import read_result
 from limbcli.sockets.donning import DonningOptions
 from limbcli.stages import socket as stage

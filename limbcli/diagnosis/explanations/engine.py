@@ -30,8 +30,9 @@ from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEviden
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Facts, Fitted, ForwardModel
 from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.diagnosis.explanations.model.noise import CommonError, common_errors
+from limbcli.diagnosis.explanations.probabilities import Explained, PriorOdds, containing, credible, named
 from limbcli.diagnosis.explanations.residuals import Roughness, held_out_error, over_shared, roughness
-from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
+from limbcli.diagnosis.explanations.search import Search
 from limbcli.errors import LimbError
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress

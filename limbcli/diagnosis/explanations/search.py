@@ -1,4 +1,4 @@
-"""The explanations of a measurement and their probabilities: nothing, every effect, every pair of effects.
+"""Which explanations of a measurement to fit and to simulate: nothing, every effect, every pair of effects.
 
 All effects are fitted on the surrogate. Pairs are ranked by their linear evidence, about the fit without
 effects and about the fit of each effect that is likely; a pair that is likely is fitted as well. What is
@@ -9,7 +9,6 @@ estimate.
 from __future__ import annotations
 
 import itertools
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -28,50 +27,12 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Fitted,
     ForwardModel,
 )
+from limbcli.diagnosis.explanations.probabilities import Explained, PriorOdds, containing, probabilities
 from limbcli.errors import LimbError
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
 _MOST_STEPS = 60  # fits and simulations of one search: far more than any needs
-
-
-@dataclass(frozen=True, eq=False)
-class Explained:
-    """An explanation and its probability.
-
-    posterior : None where the evidence is a linear estimate; simulated : the fit rests on simulations
-    """
-
-    explanation: Explanation
-    probability: float
-    ln_evidence: float
-    posterior: Posterior | None
-    simulated: bool = False
-
-
-@dataclass(frozen=True)
-class PriorOdds:
-    """Prior probabilities of explanations by `n_effects` effects that can be evaluated."""
-
-    n_effects: int
-    something: float = decisions.SOMETHING_MISSING
-    most_effects: int = 2
-
-    def ln(self, explanation: Explanation) -> float:
-        """
-        >>> odds = PriorOdds(10)
-        >>> [round(math.exp(odds.ln(each)), 4) for each in ((), ("a",), ("a", "b"))]
-        [0.4494, 0.0449, 0.0022]
-        """
-        n, one = max(self.n_effects, 1), self.something
-        weights = (1.0 - one, one / n, (one / n) ** 2 if self.most_effects > 1 else 0.0)
-        total = sum(w * k for w, k in zip(weights, (1, self.n_effects, n * (n - 1) / 2), strict=True))
-        return math.log(weights[len(explanation)] / total)
-
-    @property
-    def ln_single(self) -> float:
-        """Of a single effect over nothing."""
-        return self.ln(("any",)) - self.ln(())
 
 
 @dataclass(eq=False)
@@ -173,11 +134,9 @@ class Search:
         if self.odds.most_effects > 1:
             for pair, value in self._of_pairs(names).items():
                 ln_evidence.setdefault(pair, value)
-        ln = np.array([value + self.odds.ln(each) for each, value in ln_evidence.items()])
-        share = np.exp(ln - np.logaddexp.reduce(ln))
         found = [
-            Explained(each, float(p), value, self.known.get(each), each in self.simulated)
-            for (each, value), p in zip(ln_evidence.items(), share, strict=True)
+            Explained(each, p, ln_evidence[each], self.known.get(each), each in self.simulated)
+            for each, p in probabilities(ln_evidence, self.odds).items()
         ]
         return sorted(found, key=lambda one: (-one.probability, len(one.explanation)))
 
@@ -229,37 +188,3 @@ class Search:
         self.simulated.add(explanation)
         self.linear.pop(explanation, None)
         self.fitted(fitted)
-
-
-def containing(explanation: Explanation, several: Sequence[Explained]) -> float:
-    """Probability of all explanations that contain these effects.
-
-    >>> several = [Explained(e, p, 0.0, None) for e, p in ((("a",), 0.6), (("a", "b"), 0.3), ((), 0.1))]
-    >>> round(containing(("a",), several), 3)
-    0.9
-    """
-    return sum(each.probability for each in several if set(explanation) <= set(each.explanation))
-
-
-def credible(several: Sequence[Explained]) -> list[Explained]:
-    """The smallest set with the probability `CREDIBLE`; several : the most probable first."""
-    total, found = 0.0, []
-    for each in several:
-        found.append(each)
-        total += each.probability
-        if total >= decisions.CREDIBLE:
-            break
-    return found
-
-
-def named(several: Sequence[Explained]) -> Explanation:
-    """The most probable explanation that has, with those that contain it, the probability `CREDIBLE`; none if
-    there is no such one. It must be likely itself: of two effects that both show, neither is named alone.
-
-    several : the most probable first
-    """
-    for each in several:
-        likely = each.probability > decisions.UNSETTLED
-        if each.explanation and likely and containing(each.explanation, several) >= decisions.CREDIBLE:
-            return each.explanation
-    return ()

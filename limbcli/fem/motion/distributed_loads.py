@@ -22,7 +22,7 @@ from limbcli.fem.elements.groups import Group
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.motion.rigid import Body, skew
 from limbcli.model import Array, IntArray, LimbModel, Load
-from limbcli.numbers.formulas import Formula
+from limbcli.numbers.math_expressions import Formula
 
 
 @dataclass(eq=False)

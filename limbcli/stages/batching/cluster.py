@@ -22,7 +22,7 @@ from limbcli.config import THREADS
 from limbcli.errors import ToolError
 from limbcli.files.temporary_folders import scratch_folder
 from limbcli.progress import Progress
-from limbcli.provenance.freshness import code_hash
+from limbcli.provenance.batch_memory import code_hash
 from limbcli.version import __version__
 
 if TYPE_CHECKING:

@@ -17,8 +17,8 @@ from limbcli.errors import CaseError
 from limbcli.files.atomic import sha256
 from limbcli.fitting.options import FitOptions
 from limbcli.progress import SILENT, Progress
-from limbcli.provenance.chain import Chain
 from limbcli.provenance.requested_options import options_of
+from limbcli.provenance.staleness import Chain
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.version import __version__
 

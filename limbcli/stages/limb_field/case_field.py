@@ -15,7 +15,7 @@ from limbcli.errors import CaseError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageWriter
 from limbcli.stages.limb_field.site_results import LimbReadings, site_results
 from limbcli.stiffness_field import (

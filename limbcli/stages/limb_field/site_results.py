@@ -18,7 +18,7 @@ from limbcli.measurement.elastography import check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise, pixel_noise
 from limbcli.numbers.units import mpa_from_kpa
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import UNLIKE_OURS, StageResult, StageWriter
 from limbcli.site_model.site_levels import levels_of, maps_of
 from limbcli.stiffness_field import Interval, MapReading, SiteReading, map_reading, region_below

@@ -12,7 +12,7 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Array, Block, ElementMap, IntArray, LimbModel
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter
 from limbcli.site_model.indentation_model import C_KPA
 from limbcli.site_model.site_levels import levels_of

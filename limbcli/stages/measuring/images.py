@@ -18,7 +18,7 @@ from limbcli.measurement.overlay_places import SCREENS, find_bar, find_box
 from limbcli.measurement.swe_image import Box, DecodedMap, Overlay, decode_overlay
 from limbcli.measurement.ultrasound_image import UltrasoundImage, is_dicom, read_image
 from limbcli.progress import Progress
-from limbcli.provenance.chain import Chain
+from limbcli.provenance.staleness import Chain
 from limbcli.results import StageWriter
 
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from limbcli.diagnosis.explanations.model.forward_model import Proposal
-from limbcli.diagnosis.explanations.search import Explained
+from limbcli.diagnosis.explanations.probabilities import Explained
 from limbcli.model import Array
 
 _DRAWS = 300  # of measurements, for each explanation

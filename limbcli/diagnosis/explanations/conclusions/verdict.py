@@ -13,8 +13,8 @@ from limbcli.diagnosis.explanations.conclusions.estimates import Estimates
 from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Facts, Fitted
 from limbcli.diagnosis.explanations.model.noise import CommonError
+from limbcli.diagnosis.explanations.probabilities import Explained
 from limbcli.diagnosis.explanations.residuals import Roughness
-from limbcli.diagnosis.explanations.search import Explained
 
 Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 

@@ -1,7 +1,7 @@
-"""Terms of Ogden's law with arbitrary exponents, at sixteen points at once, in principal axes.
+"""Ogden's law (see `ogden`) at sixteen points at once.
 
-Squared stretches and their directions are computed by Jacobi's method, with the same sequence of rotations
-for all points.
+Terms with exponents 2 and -2 have a closed form; all others are evaluated in principal axes. Squared stretches
+and their directions are computed by Jacobi's method, with the same sequence of rotations for all points.
 """
 
 from __future__ import annotations
@@ -11,7 +11,10 @@ import numpy as np
 from limbcli.materials.elementary import expm1, log, series_log
 from limbcli.materials.simd import LANES, add_product
 from limbcli.materials.simd_rows import (
+    ALPHA,
+    BETA,
     CC,
+    KAPPA,
     LOGS,
     MINUS,
     PLUS,
@@ -21,10 +24,12 @@ from limbcli.materials.simd_rows import (
     TAU,
     VECTORS,
     C,
+    D,
     H,
     J,
     P,
     S,
+    X,
 )  # fmt: skip
 from limbcli.materials.tensors import FIRST, SECOND
 from limbcli.numbers.compiled import njit
@@ -199,3 +204,45 @@ def _add_outer(w, factor, a):
         for q in range(p, 6):
             add_product(w, k, H + p, a + q)
             k += 1
+
+
+@njit
+def add_pressure(w):
+    """kappa (J - 1) as a Cauchy pressure."""
+    for l in range(LANES):
+        kappa, jac = w[KAPPA * LANES + l], w[J * LANES + l]
+        w[BETA * LANES + l] += kappa * (jac - 1.0) * jac
+        w[ALPHA * LANES + l] += kappa * (2.0 * jac - 1.0) * jac
+
+
+@njit
+def add_squares(w, par, rows, off, n_terms):
+    """Terms with exponents 2 and -2: c+/2 (1 - D) + c-/2 (D - D^2); c+, c-: sums of c_k with either sign of
+    exponent."""
+    w[PLUS * LANES : (MINUS + 1) * LANES] = 0.0
+    for l in range(LANES):
+        for k in range(n_terms):
+            row = PLUS if par[rows[l], off + 2 + 2 * k] > 0.0 else MINUS
+            w[row * LANES + l] += 0.5 * par[rows[l], off + 1 + 2 * k]
+    for l in range(LANES):
+        plus, minus = w[PLUS * LANES + l], w[MINUS * LANES + l]
+        w[BETA * LANES + l] += minus - plus
+        at = D * LANES + l
+        a, b, c = w[at], w[at + LANES], w[at + 2 * LANES]
+        d, e, f = w[at + 3 * LANES], w[at + 4 * LANES], w[at + 5 * LANES]
+        xx, yy, zz = a * a + d * d + f * f, d * d + b * b + e * e, f * f + e * e + c * c
+        xy, yz, xz = a * d + d * b + f * e, d * f + b * e + e * c, a * f + d * e + f * c
+        at = X * LANES + l
+        w[at] += minus * xx
+        w[at + LANES] += minus * yy
+        w[at + 2 * LANES] += minus * zz
+        w[at + 3 * LANES] += minus * xy
+        w[at + 4 * LANES] += minus * yz
+        w[at + 5 * LANES] += minus * xz
+        at = S * LANES + l
+        w[at] += plus - minus * xx
+        w[at + LANES] += plus - minus * yy
+        w[at + 2 * LANES] += plus - minus * zz
+        w[at + 3 * LANES] -= minus * xy
+        w[at + 4 * LANES] -= minus * yz
+        w[at + 5 * LANES] -= minus * xz

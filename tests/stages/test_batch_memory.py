@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from limbcli.provenance import freshness
+from limbcli.provenance import batch_memory
+from limbcli.provenance.batch_memory import Memory, code_hash, key_of
 from limbcli.provenance.commands import CommandStep
-from limbcli.provenance.freshness import Memory, code_hash, key_of
 from limbcli.results import open_stage, read_result, stage_folder
 
 
@@ -87,8 +87,8 @@ def test_key_follows_the_content_of_files(tmp_path: Path):
 
 
 def test_the_whole_package_counts_as_its_code(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
-    assert Path(freshness.__file__).parents[1] == freshness.PACKAGE
-    monkeypatch.setattr(freshness, "PACKAGE", tmp_path)
+    assert Path(batch_memory.__file__).parents[1] == batch_memory.PACKAGE
+    monkeypatch.setattr(batch_memory, "PACKAGE", tmp_path)
     law = tmp_path / "materials" / "ogden.py"
     law.parent.mkdir()
     law.write_text("x = 1")

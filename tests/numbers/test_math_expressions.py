@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
-from limbcli.numbers.formulas import Formula, FormulaError
+from limbcli.numbers.math_expressions import Formula, FormulaError
 
 AT, TIME = np.array([0.5, 2.0, 3.0]), 0.25
 
