@@ -36,7 +36,6 @@ J Biomech Eng 140:081013.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.contacts.contact_points import (
     FACET,
@@ -52,6 +51,7 @@ from limbcli.fem.contacts.contact_points import (
     push,
 )
 from limbcli.fem.contacts.contact_points import N_STATE as N_NORMAL
+from limbcli.numbers.compiled import njit
 
 STICKS, PUSH, APART = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4
 N_STATE = N_NORMAL + 5
@@ -59,7 +59,7 @@ PLACE, TANGENTS, ANCHOR, HELD = 0, 3, 9, 12
 N_BEFORE = 13
 
 
-@njit(cache=True)
+@njit
 def remember(x, facets, N, dN, state, before):
     """Fill `before` from a converged step, after a frictionless contact search."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -75,7 +75,7 @@ def remember(x, facets, N, dN, state, before):
             row[HELD] = state[f, k, FACET]
 
 
-@njit(cache=True)
+@njit
 def _slip(row, before, move, r, g1, g2, n, y, c, m):
     """Set y, c and m (see the module docstring) of a point in contact; returns |n|."""
     size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
@@ -99,7 +99,7 @@ def _slip(row, before, move, r, g1, g2, n, y, c, m):
     return size
 
 
-@njit(cache=True, nogil=True)
+@njit
 def resist(x, facets, N, dN, eps, mu, before, move, pull, state):
     """Determine stick or slip and the traction T of every touching point; returns how many stick.
 
@@ -145,7 +145,7 @@ def resist(x, facets, N, dN, eps, mu, before, move, pull, state):
     return sticking
 
 
-@njit(cache=True, nogil=True)
+@njit
 def force(facets, N, weights, state, center, out, body):
     """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
     f3 = np.empty(3)
@@ -160,7 +160,7 @@ def force(facets, N, weights, state, center, out, body):
             push(f3, row, center, facets[f], N[k], out, body)
 
 
-@njit(cache=True)
+@njit
 def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm):
     """Change of |n| T, and of the lever arm from the body's centre, for changes of the point and the body.
 
@@ -232,7 +232,7 @@ def _change(row, before, move, eps, mu, yields, center, r, g1, g2, n, y, c, m, d
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, v, motion, out, body):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6), at fixed stick-slip status."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -259,7 +259,7 @@ def times(x, facets, N, dN, weights, eps, mu, yields, before, move, state, cente
                 body[3 + i] += w[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, state, center, out):
     """Tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
     nodes = facets.shape[1]
