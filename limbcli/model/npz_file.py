@@ -20,6 +20,7 @@ from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
 from limbcli.files.unpacking import DAMAGED, UnpackingBudget, read_npz
 from limbcli.model import LimbModel, bodies
+from limbcli.numbers import math_expressions
 from limbcli.results import plain
 
 FORMAT = 1

@@ -9,7 +9,6 @@ Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.contacts.contact_points import (
     GAP,
@@ -25,9 +24,10 @@ from limbcli.fem.contacts.contact_points import (
     point_geometry,
     push,
 )
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def force(facets, N, weights, state, center, out, body):
     """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
     f3 = np.empty(3)
@@ -41,7 +41,7 @@ def force(facets, N, weights, state, center, out, body):
             push(f3, row, center, facets[f], N[k], out, body)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def scaled_force(facets, N, weights, state, deps, center, out, body):
     """Derivative of `force` for a change deps (n_facets,) of eps at fixed positions."""
     f3 = np.empty(3)
@@ -55,7 +55,7 @@ def scaled_force(facets, N, weights, state, deps, center, out, body):
             push(f3, row, center, facets[f], N[k], out, body)
 
 
-@njit(cache=True)
+@njit
 def _gap_change(row, gap, nu, dr, dnu, slip):
     """Change of the gap for changes dr of the point and dnu of its normal, and motion `slip` of the rigid
     facet."""
@@ -66,7 +66,7 @@ def _gap_change(row, gap, nu, dr, dnu, slip):
     return top / bottom
 
 
-@njit(cache=True, nogil=True)
+@njit
 def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out, body):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6).
 
@@ -106,7 +106,7 @@ def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out
                 body[3 + i] += w[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def blocks(x, facets, N, dN, weights, eps, state, turning, out):
     """Contact tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch.
 

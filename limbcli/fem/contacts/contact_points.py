@@ -13,20 +13,21 @@ traction as it slides off and regains it as it springs back, so that no equilibr
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
+
+from limbcli.numbers.compiled import njit
 
 GAP, NORMAL, OTHER, POINT, TRACTION, FACET, WEIGHT, SLIDE = 0, 1, 4, 7, 10, 11, 12, 13
 N_STATE = 16
 
 
-@njit(cache=True, inline="always")
+@njit(forceinline=True)
 def cross(a, b, c):
     c[0] = a[1] * b[2] - a[2] * b[1]
     c[1] = a[2] * b[0] - a[0] * b[2]
     c[2] = a[0] * b[1] - a[1] * b[0]
 
 
-@njit(cache=True)
+@njit
 def point_geometry(x, nodes, N, dN, r, g1, g2, n):
     """Position, tangents and area vector at one integration point."""
     r[:] = 0.0
@@ -41,7 +42,7 @@ def point_geometry(x, nodes, N, dN, r, g1, g2, n):
     cross(g1, g2, n)
 
 
-@njit(cache=True)
+@njit
 def point_change(v, nodes, N, dN, dr, d1, d2):
     """Change of position and tangents at one integration point, for velocities v (n_points, 3)."""
     dr[:] = 0.0
@@ -55,7 +56,7 @@ def point_change(v, nodes, N, dN, dr, d1, d2):
             d2[i] += dN[a, 1] * value
 
 
-@njit(cache=True)
+@njit
 def normal_change(g1, g2, n, d1, d2, dn, dnu):
     """Change dn of the area vector and dnu of the unit normal; returns |n|."""
     w = np.empty(3)
@@ -71,7 +72,7 @@ def normal_change(g1, g2, n, d1, d2, dn, dnu):
     return length
 
 
-@njit(cache=True)
+@njit
 def push(f3, row, center, nodes, N, out, body):
     """Add a force f3 at the contact point to the soft nodes, out (n_points, 3), and to the rigid body (6)."""
     arm, moment = np.empty(3), np.empty(3)
@@ -84,7 +85,7 @@ def push(f3, row, center, nodes, N, out, body):
     spread(f3, nodes, N, out)
 
 
-@njit(cache=True)
+@njit
 def spread(f3, nodes, N, out):
     """Distribute a force at an integration point to the nodes of its facet."""
     for a in range(nodes.shape[0]):
@@ -92,7 +93,7 @@ def spread(f3, nodes, N, out):
             out[nodes[a], i] += N[a] * f3[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def add_symmetric(blocks, touched, pairs, slots, values):
     """Add the symmetric part of the touching facets' blocks (n_facets, n, 3, n, 3) to the upper triangle.
 

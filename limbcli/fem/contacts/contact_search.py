@@ -6,7 +6,6 @@ Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic), applied at each 
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.contacts.contact_points import (
     FACET,
@@ -20,11 +19,12 @@ from limbcli.fem.contacts.contact_points import (
     cross,
     point_geometry,
 )
+from limbcli.numbers.compiled import njit
 
 _PLACE, _ALONG = 7, 9  # columns of a hit after g, m, q: natural coordinates, and their gradients
 
 
-@njit(cache=True)
+@njit
 def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
     """Intersect the line r - g nu with a triangle; returns whether it hits.
 
@@ -59,7 +59,7 @@ def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
     return True
 
 
-@njit(cache=True)
+@njit
 def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
     """Fill `out` for a hit; along_s, along_t : derivatives of the position with respect to s and t."""
     out[0], out[_PLACE], out[_PLACE + 1] = g, s, t
@@ -73,7 +73,7 @@ def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
         out[_ALONG + 3 + i] /= mm
 
 
-@njit(cache=True)
+@njit
 def _hit_quad(x2, nodes, r, nu, tolerance, out):
     """Intersect the line with a bilinear facet: first its two triangles, then Newton's method."""
     if not _hit_triangle(x2, nodes[0], nodes[1], nodes[3], r, nu, tolerance, out) and not _hit_triangle(
@@ -117,7 +117,7 @@ def _hit_quad(x2, nodes, r, nu, tolerance, out):
     return True
 
 
-@njit(cache=True)
+@njit
 def _hit(x2, nodes, rim, r, nu, tolerance, out):
     """Intersect the line with a triangle or quadrilateral; rim (4) : as in `search`."""
     quad = nodes[3] >= 0
@@ -133,7 +133,7 @@ def _hit(x2, nodes, rim, r, nu, tolerance, out):
     return met
 
 
-@njit(cache=True)
+@njit
 def _beyond(edge, quad, s, t):
     """Distance of (s, t) outside an edge, in natural coordinates; edge k goes from node k to the next."""
     if quad:
@@ -141,7 +141,7 @@ def _beyond(edge, quad, s, t):
     return (-t, s + t - 1.0, -s)[edge]
 
 
-@njit(cache=True)
+@njit
 def _fade(out, quad, rim, row):
     """Fading weight of the traction at a hit; its gradient goes to row[SLIDE:] (see `contact_points`)."""
     weight = 1.0
@@ -169,7 +169,7 @@ def _fade(out, quad, rim, row):
     return weight
 
 
-@njit(cache=True, nogil=True)
+@njit
 def search(
     start, stop, x, facets, N, dN, x2, facets2, rim, spheres, box, radius, tolerance, eps, multiplier, state
 ):

@@ -40,7 +40,6 @@ J Biomech Eng 140:081013.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.contacts.contact_points import (
     FACET,
@@ -56,6 +55,7 @@ from limbcli.fem.contacts.contact_points import (
     push,
 )
 from limbcli.fem.contacts.contact_points import N_STATE as N_NORMAL
+from limbcli.numbers.compiled import njit
 
 STICKS, PUSH, APART = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4
 N_STATE = N_NORMAL + 5
@@ -63,7 +63,7 @@ PLACE, TANGENTS, ANCHOR, HELD = 0, 3, 9, 12
 N_BEFORE = 13
 
 
-@njit(cache=True)
+@njit
 def remember(x, facets, N, dN, state, before):
     """Fill `before` from a converged step, after a frictionless contact search."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -79,7 +79,7 @@ def remember(x, facets, N, dN, state, before):
             row[HELD] = state[f, k, FACET]
 
 
-@njit(cache=True)
+@njit
 def _slip(row, before, move, pull, eps, r, g1, g2, n, y, c, m):
     """Set y, c and m (see the module docstring) of a point in contact; returns |n|."""
     size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
@@ -103,7 +103,7 @@ def _slip(row, before, move, pull, eps, r, g1, g2, n, y, c, m):
     return size
 
 
-@njit(cache=True, nogil=True)
+@njit
 def resist(x, facets, N, dN, eps, mu, before, move, pull, state):
     """Determine stick or slip and the traction T of every touching point; returns how many stick.
 
@@ -149,7 +149,7 @@ def resist(x, facets, N, dN, eps, mu, before, move, pull, state):
     return sticking
 
 
-@njit(cache=True, nogil=True)
+@njit
 def force(facets, N, weights, state, center, out, body):
     """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
     f3 = np.empty(3)
@@ -164,7 +164,7 @@ def force(facets, N, weights, state, center, out, body):
             push(f3, row, center, facets[f], N[k], out, body)
 
 
-@njit(cache=True)
+@njit
 def _change(
     row, before, move, pull, eps, mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm
 ):
@@ -238,7 +238,7 @@ def _change(
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def times(
     x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state, center, v, motion, out, body
 ):
@@ -267,7 +267,7 @@ def times(
                 body[3 + i] += w[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state, center, out):
     """Tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
     nodes = facets.shape[1]

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 from numpy.typing import NDArray
 
 from limbcli.model import Array, IntArray
+from limbcli.numbers.compiled import njit
 
 
 class Threads:
@@ -133,7 +133,7 @@ def _slots(
     return slots, indptr, indices
 
 
-@njit(cache=True)
+@njit
 def _count(low, high, equations, indptr):  # type: ignore[no-untyped-def]
     """Count the entries of each row i into indptr[i + 1]."""
     for k in range(len(low)):
@@ -144,7 +144,7 @@ def _count(low, high, equations, indptr):  # type: ignore[no-untyped-def]
                     indptr[row + 1] += 1
 
 
-@njit(cache=True)
+@njit
 def _place(low, high, equations, at, indices, slots):  # type: ignore[no-untyped-def]
     """Fill column indices and slots; pairs are sorted, so the columns of each row are in order."""
     for k in range(len(low)):

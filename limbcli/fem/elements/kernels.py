@@ -13,13 +13,13 @@ A group of cells is passed as (cells, grad, weight, ops, par, base, scale, histo
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials.dispatch import second_piola, workspace
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT, inverse6, right_cauchy_green
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True)
+@njit
 def _gather(u, nodes, own):
     """Copy the rows of u of a cell's nodes to own (n_nodes, 3)."""
     for a in range(nodes.shape[0]):
@@ -27,7 +27,7 @@ def _gather(u, nodes, own):
         own[a, 0], own[a, 1], own[a, 2] = u[n, 0], u[n, 1], u[n, 2]
 
 
-@njit(cache=True)
+@njit
 def _scatter(own, nodes, out):
     """Add a cell's nodal values own (n_nodes, 3) to out (n_points, 3)."""
     for a in range(nodes.shape[0]):
@@ -37,7 +37,7 @@ def _scatter(own, nodes, out):
         out[n, 2] += own[a, 2]
 
 
-@njit(cache=True)
+@njit
 def _gradient(own, grad, base, F):
     """F = base + sum over the nodes of own (x) grad."""
     f00, f01, f02 = base[0, 0], base[0, 1], base[0, 2]
@@ -60,7 +60,7 @@ def _gradient(own, grad, base, F):
     F[2, 0], F[2, 1], F[2, 2] = f20, f21, f22
 
 
-@njit(cache=True)
+@njit
 def _add_force(P, grad, own):
     """own (n_nodes, 3) += P grad."""
     for a in range(own.shape[0]):
@@ -70,7 +70,7 @@ def _add_force(P, grad, own):
         own[a, 2] += P[2, 0] * gx + P[2, 1] * gy + P[2, 2] * gz
 
 
-@njit(cache=True)
+@njit
 def _shift_pressure(F, J, shift, C, D, S, CC):
     """Add a pressure `shift` to S and CC: shift J C^-1 and its derivative."""
     right_cauchy_green(F, C)
@@ -86,7 +86,7 @@ def _shift_pressure(F, J, shift, C, D, S, CC):
                 CC[r, q] += shift * J * value
 
 
-@njit(cache=True)
+@njit
 def _cofactor(F, B):
     """B = J F^-T; returns J."""
     B[0, 0] = F[1, 1] * F[2, 2] - F[1, 2] * F[2, 1]
@@ -101,7 +101,7 @@ def _cofactor(F, B):
     return F[0, 0] * B[0, 0] + F[0, 1] * B[0, 1] + F[0, 2] * B[0, 2]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def linear_volumes(start, stop, u, v, cells, grad, base, out):
     """out (n_cells, n_gauss) = det F at u plus its linear change along v (n_points, 3)."""
     F, dF, B = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
@@ -120,7 +120,7 @@ def linear_volumes(start, stop, u, v, cells, grad, base, out):
             out[e, g] = total
 
 
-@njit(cache=True, nogil=True)
+@njit
 def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force):
     """force (n_points, 3) += change of the internal force for pressures at `volumes` instead of det F."""
     F, B = np.empty((3, 3)), np.empty((3, 3))
@@ -140,7 +140,7 @@ def volume_force(start, stop, u, cells, grad, weight, base, lame, volumes, force
         _scatter(pushes, cells[e], force)
 
 
-@njit(cache=True)
+@njit
 def _strain_change(F, dF, E):
     """E (6,) = change of Green's strain, with engineering shears, for a change dF of F."""
     for i in range(3):
@@ -151,7 +151,7 @@ def _strain_change(F, dF, E):
             E[VOIGT[i, j]] = 0.5 * value * (1.0 if i == j else 2.0)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def tangent_times(
     start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, v, force
 ):
@@ -197,7 +197,7 @@ def tangent_times(
         _scatter(pushes, cells[e], force)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def slope_times(start, stop, nodes, grad, F, slope, v, force):
     """force (n_points, 3) += K v of individual integration points.
 
@@ -223,7 +223,7 @@ def slope_times(start, stop, nodes, grad, F, slope, v, force):
         _scatter(pushes, nodes[n], force)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def stress_state(start, stop, u, cells, grad, weight, ops, par, base, scale, history, F_out, S_out, CC_out):
     """F (n_cells, n_gauss, 3, 3), S (.., 6) and, if CC_out has n_cells rows, the tangent (.., 6, 6)."""
     work = workspace()

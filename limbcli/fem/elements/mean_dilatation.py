@@ -11,11 +11,11 @@ Source: Simo and Taylor (1991), Comput. Methods Appl. Mech. Eng. 85, 273-310; FE
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.elements.groups import Operands
 from limbcli.fem.elements.kernels import _cofactor, _gather, _gradient
 from limbcli.model import Array
+from limbcli.numbers.compiled import njit
 
 
 def _positive_ratios(o: Operands, J: Array) -> Array:
@@ -57,7 +57,7 @@ def volume_gradients(o: Operands, u: Array) -> Array:
     return out
 
 
-@njit(cache=True)
+@njit
 def _volume_gradients(u, cells, grad, weight, base, out):  # type: ignore[no-untyped-def]
     F, B = np.empty((3, 3)), np.empty((3, 3))
     own = np.empty((cells.shape[1], 3))
@@ -74,7 +74,7 @@ def _volume_gradients(u, cells, grad, weight, base, out):  # type: ignore[no-unt
                     out[e, a, i] += weight[e, g] * value
 
 
-@njit(cache=True)
+@njit
 def add_stiffness(factors, b, pairs, blocks):  # type: ignore[no-untyped-def]
     """blocks (n_pairs, 3, 3) += factor b (x) b of every cell; pairs as in `assembly.Pattern`."""
     n_nodes = b.shape[1]

@@ -7,7 +7,6 @@ Arguments as in `kernels`. The points of one or a few cells share the vectors of
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.materials import simd_laws as lanes
 from limbcli.materials.dispatch import workspace
@@ -26,12 +25,13 @@ from limbcli.materials.simd_rows import (
     simd_workspace,
 )
 from limbcli.materials.tensors import VOIGT
+from limbcli.numbers.compiled import njit
 
 WIDTH = 12  # padded number of nodes per cell: a multiple of four, at least the largest number of nodes
 _LONG = 6 * WIDTH
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _gradients(w, lane, u, nodes, grad, base):
     """F = base + sum of u (x) grad N at the points of a cell, into lanes from `lane` on.
 
@@ -67,7 +67,7 @@ def _gradients(w, lane, u, nodes, grad, base):
         w[k + 6 * LANES], w[k + 7 * LANES], w[k + 8 * LANES] = f6, f7, f8
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _fill(w, rows, some, u, cells, grad, weight, par, base):
     """Fill F and weights of the points of some cells, F = 1 in unused lanes; returns how many points."""
     lane = np.int64(0)
@@ -85,7 +85,7 @@ def _fill(w, rows, some, u, cells, grad, weight, par, base):
     return lane
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _take_history(w, some, n_gauss, scale, history, tangent):
     """Stress = scale S + history, and the tangent scaled likewise."""
     if scale != 1.0:
@@ -99,7 +99,7 @@ def _take_history(w, some, n_gauss, scale, history, tangent):
                     w[(S + q) * LANES + k * n_gauss + g] += history[some[k], g, q]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _first_piola(w):
     """STRESS = weight F S, row by row."""
     for l in range(LANES):
@@ -115,7 +115,7 @@ def _first_piola(w):
             w[at + 2 * LANES] = x * f + y * e + z * c
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _push(w, lane, nodes, grad, force):
     """force (n_points, 3) += P grad N at the points of a cell, whose lanes begin at `lane`."""
     own = np.zeros(3 * WIDTH)
@@ -140,7 +140,7 @@ def _push(w, lane, nodes, grad, force):
         force[n, 2] += own[3 * a + 2]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _worst(w, n):
     """The smallest det F of the first n points, and its lane."""
     worst, place = 1e300, -1
@@ -151,7 +151,7 @@ def _worst(w, n):
     return worst, place
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, history, force):
     """force (n_points, 3) += integral of P grad N."""
     w, one, six, square = simd_workspace()
@@ -176,7 +176,7 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
     return worst, place
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _first_tangent(w):
     """PRODUCTS = weight dP_ij/dF_kl: nine rows (j, l) for each i <= k in VOIGT's order."""
     for k in range(S, S + 27):
@@ -202,7 +202,7 @@ def _first_tangent(w):
                             w[to * LANES + x] += w[(S + VOIGT[j, l]) * LANES + x]
 
 
-@njit(cache=True, fastmath={"contract"})
+@njit(fastmath={"contract"})
 def _add_products(w, lane, grad, G, DG, K):
     """K[a, (ik, b)] = sum over points, j, l of grad[a, j] A[ij, kl] grad[b, l], for i <= k.
 
@@ -229,7 +229,7 @@ def _add_products(w, lane, grad, G, DG, K):
                 row[t] += x * DG[3 * g, t] + y * DG[3 * g + 1, t] + z * DG[3 * g + 2, t]
 
 
-@njit(cache=True, error_model="numpy")
+@njit
 def _scatter_blocks(pairs, K, n_nodes, blocks):
     """Add a cell's K to the flat blocks of its node pairs."""
     for b in range(n_nodes):
@@ -249,7 +249,7 @@ def _scatter_blocks(pairs, K, n_nodes, blocks):
             blocks[at + 6] += down[5 * WIDTH + low]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit
 def tangent(
     start, stop, u, cells, grad, weight, ops, par, base, scale, history, lame, volumes, order, pairs, blocks
 ):

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
@@ -23,6 +22,7 @@ from limbcli.fem.linear_solvers.direct import LinearSolver
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
+from limbcli.numbers.compiled import njit
 
 _FEW = 0.02  # fraction of touching points changed up to which the root front is not updated
 
@@ -249,7 +249,7 @@ def check_rigid_modes(system: System, schur: Array, corner: Array) -> None:
         )
 
 
-@njit(cache=True, nogil=True)
+@njit
 def blocks_times(begin, end, first, high, blocks, v, out):  # type: ignore[no-untyped-def]
     """out += (blocks of the lower nodes begin..end and their transposes) times v; all arrays are flat."""
     for low in range(begin, end):

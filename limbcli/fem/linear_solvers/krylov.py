@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.fem.motion.state import norm
 from limbcli.model import Array
+from limbcli.numbers.compiled import njit
 
 _NOTHING = 1e-12  # pivot regarded as round-off, relative to the largest entry of its column
 
@@ -75,7 +75,7 @@ def gmres(
     return solution, n, abs(float(beta[n])) / size
 
 
-@njit(cache=True, fastmath={"reassoc", "contract"})
+@njit(fastmath={"reassoc", "contract"})
 def orthogonalise(V, n, w, h):  # type: ignore[no-untyped-def]
     """Modified Gram-Schmidt: orthogonalise w against the first n rows of V, coefficients to h; returns |w|.
 

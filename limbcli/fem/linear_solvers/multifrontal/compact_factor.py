@@ -10,11 +10,11 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE, down_part, keep_column, times_tile, up_part
 from limbcli.model import IntArray
+from limbcli.numbers.compiled import njit
 
 PAD = 3 * TILE  # padding of vectors beyond the rows of a front
 _MOST = 32767.0
@@ -58,7 +58,7 @@ def sizes(p: IntArray, m: IntArray) -> tuple[IntArray, IntArray]:
     return whole + (rest > 0), TILE * (TILE * chunks + last)
 
 
-@njit(cache=True, nogil=True, fastmath=True)
+@njit(fastmath=True)
 def _largest(a, first, stop):  # type: ignore[no-untyped-def]
     largest = a.dtype.type(0)
     for i in range(first, stop):
@@ -66,7 +66,7 @@ def _largest(a, first, stop):  # type: ignore[no-untyped-def]
     return largest
 
 
-@njit(cache=True, nogil=True)
+@njit
 def keep(kept, tile, at, first, panel, o, ld, p, m, half):  # type: ignore[no-untyped-def]
     """Store a front's panel (m, p), from tile number `tile`, part offset `at` and pivot `first` on.
 
@@ -106,7 +106,7 @@ def keep(kept, tile, at, first, panel, o, ld, p, m, half):  # type: ignore[no-un
         at += chunks * width * TILE
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _keep_triangle(a, d, ld, n, inverses, transposed, at):  # type: ignore[no-untyped-def]
     """Store the inverse, and its transpose, of n columns of L, padded with the unit matrix."""
     one = a.dtype.type(1)
@@ -126,7 +126,7 @@ def _keep_triangle(a, d, ld, n, inverses, transposed, at):  # type: ignore[no-un
             transposed[at + i * TILE + j] = inverses[at + j * TILE + i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def down(kept, tile, at, first, p, m, y, z):  # type: ignore[no-untyped-def]
     """Forward substitution: y1 -> L^-1 y1 for the first p rows, then y2 -> y2 - L2 y1 for the others.
 
@@ -145,7 +145,7 @@ def down(kept, tile, at, first, p, m, y, z):  # type: ignore[no-untyped-def]
         at += chunks * width * TILE
 
 
-@njit(cache=True, nogil=True)
+@njit
 def up(kept, tile, at, first, p, m, y, z):  # type: ignore[no-untyped-def]
     """Backward substitution: y1 -> L^-T (y1 - L2^T y2); tile, at : start of the next front's storage."""
     for j0 in range((p - 1) // TILE * TILE, -1, -TILE):

@@ -7,10 +7,10 @@ tiles, whose inverses turn the triangular solves below them into products.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal.blas import gemm_nt, syrk
 from limbcli.fem.linear_solvers.multifrontal.vectors import add_scaled
+from limbcli.numbers.compiled import njit
 
 NOT_FINITE = -1
 TILE = 32  # columns factored by plain loops
@@ -18,7 +18,7 @@ STRIP = 512  # rows processed at a time below a diagonal block
 ALIGNED = 16  # leading dimensions, and first rows and columns of parts of a front, are multiples of this
 
 
-@njit(cache=True, nogil=True)
+@njit
 def signed_copy(a, oa, lda, n, k, sign, first, out):  # type: ignore[no-untyped-def]
     """out (n, k), column-major = a with each column times its sign, if any is negative; returns whether."""
     negative = False
@@ -31,7 +31,7 @@ def signed_copy(a, oa, lda, n, k, sign, first, out):  # type: ignore[no-untyped-
     return negative
 
 
-@njit(cache=True, nogil=True)
+@njit
 def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
     """Subtract the contribution of the columns before j0 from rows r0..r1 of columns j0..j1.
 
@@ -48,7 +48,7 @@ def reduce_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, work):  # type: ig
         gemm_nt(blas, r1 - r0, n, j0, -one, a, o + r0, ld, a, o + j0, ld, one, a, target, ld)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Factor the diagonal block of columns j0..j1; returns the number of perturbed pivots, or NOT_FINITE.
 
@@ -67,7 +67,7 @@ def factor_diagonal(blas, a, o, ld, j0, j1, sign, first, tiny, inverse, work):  
     return made_up
 
 
-@njit(cache=True, nogil=True)
+@njit
 def reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type: ignore[no-untyped-def]
     """Subtract the contribution of columns j0..k0 from rows r0..r1 of columns k0..k1."""
     one = a.dtype.type(1)
@@ -81,7 +81,7 @@ def reduce_tile(blas, a, o, ld, j0, k0, k1, r0, r1, sign, first, work):  # type:
         gemm_nt(blas, r1 - r0, n, k, -one, a, left, ld, a, o + k0 + j0 * ld, ld, one, a, target, ld)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _factor_tile(a, d, ld, n, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """L S L^T of n <= TILE columns, in loops of fixed length; S L^-1 goes to `inverse`, column-major."""
     one, none = a.dtype.type(1), a.dtype.type(0)
@@ -112,7 +112,7 @@ def _factor_tile(a, d, ld, n, sign, first, tiny, inverse, work):  # type: ignore
     return made_up
 
 
-@njit(cache=True, nogil=True)
+@njit
 def invert_tile(tile, at, n, sign, first, inverse):  # type: ignore[no-untyped-def]
     """S L^-1, column-major, of the n columns of L at tile[at], which are overwritten."""
     one, none = tile.dtype.type(1), tile.dtype.type(0)
@@ -132,7 +132,7 @@ def invert_tile(tile, at, n, sign, first, inverse):  # type: ignore[no-untyped-d
         inverse[i] = tile[at + i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[no-untyped-def]
     """Multiply rows r0..r1 of columns k0..k1 by L^-T S of the tile, given its inverse."""
     one, none = a.dtype.type(1), a.dtype.type(0)
@@ -146,7 +146,7 @@ def solve_tile(blas, a, o, ld, k0, k1, r0, r1, inverse, work):  # type: ignore[n
     gemm_nt(blas, m, n, n, one, work, 0, m, inverse, 0, TILE, none, a, o + r0 + k0 * ld, ld)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # type: ignore[no-untyped-def]
     """Solve for rows r0..r1 of columns j0..j1 after their diagonal block has been factored."""
     for b0 in range(r0, r1, STRIP):
@@ -158,7 +158,7 @@ def solve_block(blas, a, o, ld, j0, j1, r0, r1, sign, first, inverse, work):  # 
             solve_tile(blas, a, o, ld, k0, k1, b0, b1, inverted, work)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Factor the first p columns of a front of m rows; returns how many pivots were perturbed, or NOT_FINITE.
 
@@ -176,7 +176,7 @@ def factor_panel(blas, a, o, ld, p, m, block, sign, first, tiny, inverse, work):
     return made_up
 
 
-@njit(cache=True, nogil=True)
+@njit
 def form_update(blas, a, o, ld, p, m, u, ou, ldu, c0, c1, block, sign, first, work):  # type: ignore[no-untyped-def]
     """Columns c0..c1 of the lower triangle of U = -L2 S L2^T, with L2 the panel's rows below its pivots."""
     one, none = a.dtype.type(1), a.dtype.type(0)

@@ -13,12 +13,12 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numba import njit
 from scipy.linalg import lapack
 
 from limbcli.fem.linear_solvers.multifrontal.blas import gemm_nn, getrf, solve_unit_lower
 from limbcli.fem.linear_solvers.multifrontal.sharing import ThreadTeam
 from limbcli.model import Array, IntArray
+from limbcli.numbers.compiled import njit
 
 PANEL = 256  # columns per panel; 128 and 192 take as long
 _PIECES = 3  # number of tasks into which the update beyond the next panel is divided
@@ -67,7 +67,7 @@ class Lu:
         return np.asarray(self._getrs(self.matrix, self._pivots, rhs, trans=int(transposed))[0])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _panel(blas, a, n, pivots, j0, j1):  # type: ignore[no-untyped-def]
     """Factor columns j0..j1 from row j0 down; pivots : row numbers of the matrix, from 0."""
     getrf(blas, n - j0, j1 - j0, a, j0 + j0 * n, n, pivots, j0)
@@ -75,7 +75,7 @@ def _panel(blas, a, n, pivots, j0, j1):  # type: ignore[no-untyped-def]
         pivots[j] += j0 - 1
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _exchange(a, n, pivots, j0, j1, c0, c1):  # type: ignore[no-untyped-def]
     """Apply the row exchanges of pivot columns j0..j1 to columns c0..c1."""
     for c in range(c0, c1):
@@ -88,7 +88,7 @@ def _exchange(a, n, pivots, j0, j1, c0, c1):  # type: ignore[no-untyped-def]
                 a[at + p] = kept
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _behind(blas, a, n, pivots, j0, j1, c0, c1):  # type: ignore[no-untyped-def]
     """Update columns c0..c1, to the right, with the factored columns j0..j1."""
     one = a.dtype.type(1)

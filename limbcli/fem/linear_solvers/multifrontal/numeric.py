@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal.compact_factor import keep
 from limbcli.fem.linear_solvers.multifrontal.dense import NOT_FINITE, factor_panel, form_update
 from limbcli.fem.linear_solvers.multifrontal.vectors import add
+from limbcli.numbers.compiled import njit
 
 BLOCK = 192  # columns per block of a front factored by one thread
 
 
-@njit(cache=True, nogil=True)
+@njit
 def scales(indptr, indices, values, first, stop, out):  # type: ignore[no-untyped-def]
     """Scale factors 1/sqrt(|diagonal|) of rows first..stop; 0 where the diagonal is zero."""
     for i in range(first, stop):
@@ -23,7 +23,7 @@ def scales(indptr, indices, values, first, stop, out):  # type: ignore[no-untype
         out[i] = 1.0 / np.sqrt(abs(diagonal)) if abs(diagonal) > 1e-300 else 0.0
 
 
-@njit(cache=True)
+@njit
 def scales_of_others(indptr, indices, values, out):  # type: ignore[no-untyped-def]
     """Scale factors of rows with a zero diagonal, from their largest entry in the scaled matrix."""
     n = len(indptr) - 1
@@ -40,7 +40,7 @@ def scales_of_others(indptr, indices, values, out):  # type: ignore[no-untyped-d
             out[i] = 1.0 / largest[i] if largest[i] > 0.0 else 1.0
 
 
-@njit(cache=True, nogil=True)
+@njit
 def scale(indptr, indices, values, scaling, first, stop, out):  # type: ignore[no-untyped-def]
     """Scale rows first..stop of the matrix and convert them to the factor's precision."""
     for i in range(first, stop):
@@ -48,7 +48,7 @@ def scale(indptr, indices, values, scaling, first, stop, out):  # type: ignore[n
             out[k] = values[k] * (scaling[i] * scaling[indices[k]])
 
 
-@njit(cache=True, nogil=True)
+@njit
 def gather_panel(plan, s, c0, c1, values, panel, updates):  # type: ignore[no-untyped-def]
     """Assemble pivot columns c0..c1 of front s: matrix entries plus the children's update matrices."""
     ld = plan.ld[s]
@@ -60,7 +60,7 @@ def gather_panel(plan, s, c0, c1, values, panel, updates):  # type: ignore[no-un
         _extend(plan, plan.children[c], c0, c1, np.int64(0), ld, updates, panel)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def gather_update(plan, s, c0, c1, updates):  # type: ignore[no-untyped-def]
     """Add the children's update matrices to columns c0..c1 of the update matrix of front s."""
     p = plan.pivot_at[s + 1] - plan.pivot_at[s]
@@ -69,7 +69,7 @@ def gather_update(plan, s, c0, c1, updates):  # type: ignore[no-untyped-def]
         _extend(plan, plan.children[c], p + c0, p + c1, o, plan.ldu[s], updates, updates)
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped-def]
     """Extend-add: the columns of front c's update matrix that map to columns c0..c1 of its parent."""
     at = plan.rows_at[c]
@@ -91,7 +91,7 @@ def _extend(plan, c, c0, c1, o, ld, updates, target):  # type: ignore[no-untyped
             begin = end
 
 
-@njit(cache=True, nogil=True)
+@njit
 def factor_subtree(blas, plan, start, stop, values, panel, updates, kept, sign, tiny, inverse, work):  # type: ignore[no-untyped-def]
     """Factor fronts start..stop one after another; returns the number of perturbed pivots, or NOT_FINITE."""
     made_up = 0

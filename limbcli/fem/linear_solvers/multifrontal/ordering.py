@@ -10,9 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 
 from limbcli.model import IntArray
+from limbcli.numbers.compiled import njit
 
 # METIS options: number of separators tried, and allowed imbalance in 1/1000; they save 5 to 15 % of the work.
 _TRIALS, _UNEVEN = 2, 100
@@ -98,7 +98,7 @@ def minimum_degree(indptr: IntArray, indices: IntArray) -> IntArray:
     return np.argsort(factor.perm_c)
 
 
-@njit(cache=True)
+@njit
 def _symmetric(indptr, indices):  # type: ignore[no-untyped-def]
     n = len(indptr) - 1
     count = np.zeros(n + 1, dtype=np.int64)
@@ -121,7 +121,7 @@ def _symmetric(indptr, indices):  # type: ignore[no-untyped-def]
     return at, out
 
 
-@njit(cache=True)
+@njit
 def _codes(at, neighbours, colour):  # type: ignore[no-untyped-def]
     n = len(at) - 1
     code = np.empty(n, dtype=np.int64)
@@ -133,7 +133,7 @@ def _codes(at, neighbours, colour):  # type: ignore[no-untyped-def]
     return code
 
 
-@njit(cache=True)
+@njit
 def _classes(by_code, code, flag, at, neighbours):  # type: ignore[no-untyped-def]
     """For each equation, the first one with the same pattern; equal hash codes are verified."""
     n = len(at) - 1
@@ -156,7 +156,7 @@ def _classes(by_code, code, flag, at, neighbours):  # type: ignore[no-untyped-de
     return vertex
 
 
-@njit(cache=True)
+@njit
 def _quotient(first, vertex, at, neighbours):  # type: ignore[no-untyped-def]
     n = len(first)
     indptr = np.zeros(n + 1, dtype=np.int64)
@@ -178,7 +178,7 @@ def _quotient(first, vertex, at, neighbours):  # type: ignore[no-untyped-def]
     return indptr, indices[:size].copy()
 
 
-@njit(cache=True)
+@njit
 def _part(inner, number, indptr, indices):  # type: ignore[no-untyped-def]
     at = np.zeros(len(inner) + 1, dtype=np.int64)
     out = np.empty(len(indices), dtype=np.int64)

@@ -7,9 +7,9 @@ by the same descendants gives long contiguous runs when update matrices are adde
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.model import IntArray
+from limbcli.numbers.compiled import njit
 
 
 def longer_runs(start: IntArray, rows_at: IntArray, rows: IntArray) -> IntArray:
@@ -21,7 +21,7 @@ def longer_runs(start: IntArray, rows_at: IntArray, rows: IntArray) -> IntArray:
     return _refine(start, rows_at, rows, widest)
 
 
-@njit(cache=True)
+@njit
 def _refine(start, rows_at, rows, widest):  # type: ignore[no-untyped-def]
     n = start[-1]
     order = np.arange(n)
@@ -48,7 +48,7 @@ def _refine(start, rows_at, rows, widest):  # type: ignore[no-untyped-def]
     return order
 
 
-@njit(cache=True)
+@njit
 def _split(first, stop, order, group, hit, held):  # type: ignore[no-untyped-def]
     """Split each group of the positions first..stop into those marked in `hit` and the others."""
     before = False  # whether the preceding part consists of marked positions

@@ -8,7 +8,6 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal.compact_factor import sizes as kept_sizes
 from limbcli.fem.linear_solvers.multifrontal.dense import ALIGNED
@@ -17,6 +16,7 @@ from limbcli.fem.linear_solvers.multifrontal.ordering import Graph, positions
 from limbcli.fem.linear_solvers.multifrontal.sharing import WorkShares, share_for_two, share_top_alone
 from limbcli.fem.linear_solvers.multifrontal.symbolic import Fronts, cost
 from limbcli.model import IntArray
+from limbcli.numbers.compiled import njit
 
 _GRAIN = 0.12  # largest subtree given to one thread, as a fraction of the total work
 
@@ -116,7 +116,7 @@ def _expand(graph: Graph, order: IntArray) -> tuple[IntArray, IntArray]:
     return graph.members[first + within], at
 
 
-@njit(cache=True)
+@njit
 def _rows(vertex_at, vertices, at):  # type: ignore[no-untyped-def]
     rows_at = np.zeros(len(vertex_at), dtype=np.int64)
     size = 0
@@ -133,7 +133,7 @@ def _rows(vertex_at, vertices, at):  # type: ignore[no-untyped-def]
     return rows_at, rows
 
 
-@njit(cache=True)
+@njit
 def _maps(pivot_at, rows_at, rows, parent):  # type: ignore[no-untyped-def]
     n = len(parent)
     into = np.empty(len(rows), dtype=np.int32)
@@ -162,7 +162,7 @@ def _maps(pivot_at, rows_at, rows, parent):  # type: ignore[no-untyped-def]
     return into, run_at, runs[:size].copy()
 
 
-@njit(cache=True)
+@njit
 def _entries(indptr, indices, place, pivot_at, rows_at, rows, ld):  # type: ignore[no-untyped-def]
     n = len(place)
     front = np.empty(n, dtype=np.int64)

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal import solve
 from limbcli.fem.linear_solvers.multifrontal.compact_factor import PAD, make_kept, sizes
@@ -21,6 +20,7 @@ from limbcli.fem.linear_solvers.multifrontal.shared_fronts import Top
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.model import Array, IntArray
+from limbcli.numbers.compiled import njit
 
 
 class Root:
@@ -118,7 +118,7 @@ class Root:
 _TILE = 32
 
 
-@njit(cache=True, nogil=True)
+@njit
 def _mirrored(lower, ld, first, stop, out):  # type: ignore[no-untyped-def]
     """Copy columns first..stop of a lower triangle to `out`, and mirror them to the upper triangle."""
     n = len(out)
@@ -131,7 +131,7 @@ def _mirrored(lower, ld, first, stop, out):  # type: ignore[no-untyped-def]
                     out[j, i] = value
 
 
-@njit(cache=True)
+@njit
 def _add(indptr, indices, data, scaling, out):  # type: ignore[no-untyped-def]
     for i in range(len(out)):
         for k in range(indptr[i], indptr[i + 1]):
@@ -139,7 +139,7 @@ def _add(indptr, indices, data, scaling, out):  # type: ignore[no-untyped-def]
             out[i, j] += data[k] * scaling[i] * scaling[j]
 
 
-@njit(cache=True)
+@njit
 def _unscaled(lower, ld, scaling):  # type: ignore[no-untyped-def]
     n = len(scaling)
     out = np.empty((n, n))

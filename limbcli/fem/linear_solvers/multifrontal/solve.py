@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal.compact_factor import PAD, down, up
 from limbcli.fem.linear_solvers.multifrontal.tiles import TILE
+from limbcli.numbers.compiled import njit
 
 
-@njit(cache=True, nogil=True)
+@njit
 def enter(order, scaling, rhs, out):  # type: ignore[no-untyped-def]
     """Scale the right-hand side (n,) and permute it to elimination order."""
     for i in range(len(order)):
@@ -17,14 +17,14 @@ def enter(order, scaling, rhs, out):  # type: ignore[no-untyped-def]
         out[i] = rhs[e] * scaling[e]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def leave(order, scaling, x, out):  # type: ignore[no-untyped-def]
     for i in range(len(order)):
         e = order[i]
         out[e] = x[i] * scaling[e]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def forward(plan, start, stop, kept, sign, w, y, z):  # type: ignore[no-untyped-def]
     """Forward substitution through fronts start..stop. y, z : workspace (a front, a tile)"""
     for s in range(start, stop):
@@ -42,7 +42,7 @@ def forward(plan, start, stop, kept, sign, w, y, z):  # type: ignore[no-untyped-
             w[plan.rows[at + i]] += y[p + i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def backward(plan, start, stop, kept, w, y, z):  # type: ignore[no-untyped-def]
     """Backward substitution through fronts stop - 1 down to start."""
     for s in range(stop - 1, start - 1, -1):
@@ -60,7 +60,7 @@ def backward(plan, start, stop, kept, w, y, z):  # type: ignore[no-untyped-def]
             w[first + i] = y[i]
 
 
-@njit(cache=True, nogil=True)
+@njit
 def whole(kept, sign, w, y, z):  # type: ignore[no-untyped-def]
     """w -> (L S L^T)^-1 w for a matrix that is a single front."""
     n, begin = len(w), np.int64(0)  # not a literal: see `materials.cache`

@@ -8,11 +8,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 
 from limbcli.fem.linear_solvers.multifrontal.ordering import Graph, positions
 from limbcli.fem.linear_solvers.multifrontal.pivot_order import longer_runs
 from limbcli.model import IntArray
+from limbcli.numbers.compiled import njit
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +45,7 @@ def analyse(graph: Graph, order: IntArray, n_last: int) -> Fronts:
     return _renumber(order, at, rows, head, top, n_last)
 
 
-@njit(cache=True)
+@njit
 def _structure(indptr, indices, order, place, n_inner):  # type: ignore[no-untyped-def]
     """Rows below the diagonal of each column of the factor, unsorted, and the elimination tree.
 
@@ -96,7 +96,7 @@ def _structure(indptr, indices, order, place, n_inner):  # type: ignore[no-untyp
     return at, rows[:size].copy(), parent
 
 
-@njit(cache=True)
+@njit
 def cost(p, m):  # type: ignore[no-untyped-def]
     """Estimated time (s) of a front of p pivots and m rows: call overhead, memory traffic, arithmetic."""
     r = m - p
@@ -104,7 +104,7 @@ def cost(p, m):  # type: ignore[no-untyped-def]
     return 4e-6 + 1.5e-10 * p * m + 3e-10 * r * r + work * (1.0 + 24.0 / p) / 1.1e11
 
 
-@njit(cache=True)
+@njit
 def _supernodes(at, rows, parent, weights, n_inner):  # type: ignore[no-untyped-def]
     """The head column of each column's supernode (itself for a head), and the parent of each head.
 
@@ -151,7 +151,7 @@ def _supernodes(at, rows, parent, weights, n_inner):  # type: ignore[no-untyped-
     return head, top
 
 
-@njit(cache=True)
+@njit
 def _absorb(s, child, sibling, pivots, below, head, top):  # type: ignore[no-untyped-def]
     """Merge children into front s, the largest saving first, as long as it reduces the estimated time."""
     while True:
@@ -211,7 +211,7 @@ def _sorted(at, rows):  # type: ignore[no-untyped-def]
     return np.sort(first + rows) - first
 
 
-@njit(cache=True)
+@njit
 def _postorder(parent):  # type: ignore[no-untyped-def]
     """Postorder: children before parents, each subtree contiguous; the last root stays last."""
     n = len(parent)

@@ -11,12 +11,13 @@ from collections.abc import Callable
 from typing import Any
 
 from llvmlite import ir
-from numba import njit, types
+from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from limbcli.fem.linear_solvers.multifrontal.vectors import _everywhere, _load, _start, _store
 from limbcli.materials.simd import plus_product
+from limbcli.numbers.compiled import njit
 
 TILE = 16  # rows of a chunk, and its maximum number of columns
 _INDEX = ir.IntType(32)
@@ -191,7 +192,7 @@ def _rounded(builder, value):  # type: ignore[no-untyped-def]
 def _dispatch(make: Callable[[int], Any]) -> Any:
     four, eight, twelve, sixteen = (make(width) for width in (4, 8, 12, 16))
 
-    @njit(nogil=True)
+    @njit(cache=False)
     def run(width, q, at, n, first, second, third):  # type: ignore[no-untyped-def]
         if width == 16:
             sixteen(q, at, n, first, second, third)
