@@ -1,7 +1,8 @@
 """Ogden's law (see `ogden`) at sixteen points at once.
 
-Terms with exponents 2 and -2 have a closed form; all others are evaluated in principal axes. Squared stretches
-and their directions are computed by Jacobi's method, with the same sequence of rotations for all points.
+Terms with exponents 2 and -2 have a closed form; all others are evaluated in principal axes. Squared
+stretches and their directions are computed by Jacobi's method, with the same sequence of rotations for all
+points.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Probabilities of explanations from their evidence and prior odds; the set that follows, and what is named."""
+"""Probabilities of explanations from their evidence and prior odds; the set that follows; what is named."""
 
 from __future__ import annotations
 
