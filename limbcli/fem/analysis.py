@@ -101,7 +101,8 @@ class Analysis:
         times = self.times()
         n_steps = sum(map(len, times))
         number = 0
-        for part, (step, targets) in enumerate(zip(self.model.steps, times, strict=True)):
+        for part, targets in enumerate(times):
+            step = self.model.steps[part]  # `visit` may have changed the model's later steps
             newton = self._prepare(step, state)
             newton.charge_to(limit)
             state = newton.system.start

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 SOCKET, FACE = "socket", "socket_face"
 _DONNING, _CLOSING, _LOAD = "donning", "closing", "socket_load"
-_KNEE = "knee_load"
+_KNEE, _LETTING_GO = "knee_load", "letting_go"
 _ABOUT = {"x": "u", "y": "v", "z": "w"}
 _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
 _OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
@@ -209,7 +209,7 @@ def don_and_load(
     progress: Progress = SILENT,
 ) -> DonningResult:
     """Put a limb into its socket and load it, with the reference solver. Progress says what each step leads
-    to ("donned 40 %", "load 120 N").
+    to ("donned 40 %", "50 % of the way to 400 N").
 
     Parameters
     ----------
@@ -232,8 +232,11 @@ def don_and_load(
 
     def visit(running: Analysis, snapshot: Snapshot) -> None:
         balance.append(_balance(running, snapshot, aim_of(snapshot.state.time, options), arm))
-        if snapshot.must:
-            states.append(_state(running, snapshot, next(loads)))
+        if not snapshot.must:
+            return
+        states.append(_state(running, snapshot, next(loads)))
+        if len(states) == 1 and len(running.model.steps) > 1:
+            running.model = let_go(running.model, states[0])
 
     try:
         analysis.run(visit)
@@ -241,7 +244,7 @@ def don_and_load(
         raise _explained(error, len(states), options) from error
     finally:
         analysis.close()
-    return DonningResult(model, _skin_nodes(model, options.skin), tuple(states), tuple(balance))
+    return DonningResult(analysis.model, _skin_nodes(model, options.skin), tuple(states), tuple(balance))
 
 
 # ---------------------------------------------------------------- model
@@ -320,6 +323,18 @@ def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
     return donning, loading
 
 
+def let_go(model: LimbModel, donned: SocketState) -> LimbModel:
+    """The model whose loading begins with the forces and moments that hold the socket where it was donned:
+    they pass over into the first load. Let go at once, the limb would spring back, and skin that sticks
+    would slip."""
+    donning, loading = model.steps
+    held = dict(zip("xyzuvw", (*donned.socket_force_n, *donned.socket_moment_n_mm), strict=True))
+    free = {drive.dof: drive.kind for drive in loading.drives if drive.kind in ("force", "moment")}
+    still = [Drive(SOCKET, dof, kind, float(held[dof]), _LETTING_GO) for dof, kind in free.items()]  # type: ignore[arg-type]
+    curves = {**model.curves, _LETTING_GO: Curve(((0.0, 1.0), (1.0, 1.0), (2.0, 0.0)))}
+    return replace(model, curves=curves, steps=(donning, replace(loading, drives=(*loading.drives, *still))))
+
+
 def _knee_drives(options: DonningOptions, centre: Array) -> tuple[Drive, ...]:
     """Forces across the axis, and moments about the socket's centre: of the load at the knee, and of the
     force along the limb, which acts through the knee centre too."""
@@ -355,13 +370,16 @@ def aim_of(time: float, options: DonningOptions) -> str:
     fewer steps than the options say.
 
     >>> options = DonningOptions(loads_n=(400.0, 800.0))
-    >>> aim_of(0.4, options), aim_of(1.4, options), aim_of(2.4, options)
-    ('donned 40 %', 'load 160 N', 'load 560 N')
+    >>> aim_of(0.4, options), aim_of(1.4, options), aim_of(3.0, options)
+    ('donned 40 %', '40 % of the way to 400 N', 'load 800 N')
     """
     if time < 1.0 + _SAME_TIME:
         return f"donned {100 * time:.0f} %"
-    loads = (0.0, *options.loads_n)
-    return f"load {np.interp(time - 1.0, range(len(loads)), loads):.4g} N"
+    done = int(time - 1.0 + _SAME_TIME)
+    share = time - 1.0 - done
+    if share < _SAME_TIME or done >= len(options.loads_n):
+        return f"load {options.loads_n[min(done, len(options.loads_n)) - 1]:.4g} N"
+    return f"{100 * share:.0f} % of the way to {options.loads_n[done]:.4g} N"
 
 
 def _explained(error: SolveError, n_states: int, options: DonningOptions) -> SolveError:
