@@ -125,10 +125,11 @@ def febio(feb: Path, binary: Path) -> None:
         raise SystemExit(f"FEBio stopped ({status}) after {used.ru_utime:.0f} s:\n{log[-1500:]}")
     pressures, forces = read_records(feb.parent / "pressure.txt"), read_records(feb.parent / "force.txt")
     at = [int(np.argmin(abs(pressures.times - each))) for each in ends(model)]
-    total = re.search(r"Total number of equilibrium iterations \.+ : (\d+)", log)
+    # of each analysis step, and last of all of them
+    totals = re.findall(r"Total number of equilibrium iterations \.+ : (\d+)", log)
     np.savez(
         feb.parent / FEBIO, pressure=pressures.values[at, :, 0], force=forces.values[at, 0, 0],
-        height=forces.values[at, 0, 1], iterations=int(total[1]) if total else -1,
+        height=forces.values[at, 0, 1], iterations=int(totals[-1]) if totals else -1,
         seconds=used.ru_utime + used.ru_stime, peak_mb=used.ru_maxrss / 1024,
     )  # fmt: skip
 
