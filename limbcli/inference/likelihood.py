@@ -72,7 +72,7 @@ class Place:
         return float(found[0]), float(found[1]), found[2:]
 
 
-class Block(Protocol):
+class DataBlock(Protocol):
     """Data of one simulated curve; slopes are by ln theta."""
 
     @property
@@ -236,7 +236,7 @@ class Likelihood:
     """
 
     def __init__(
-        self, parameters: Sequence[FitParameter], blocks: Sequence[Block], starts: Sequence[Array], *,
+        self, parameters: Sequence[FitParameter], blocks: Sequence[DataBlock], starts: Sequence[Array], *,
         profiled: Sequence[int], priors: Sequence[tuple[int, float, float]], n_shape: int,
     ):  # fmt: skip
         """
@@ -324,5 +324,5 @@ class Likelihood:
         return np.asarray(theta[1 : 1 + max(self.profiled)])
 
 
-def _distance(block: Block, theta: Array) -> float:
+def _distance(block: DataBlock, theta: Array) -> float:
     return block.emulator.distance(block.place(theta)[2])

@@ -1,7 +1,7 @@
 """One limb in its socket in both solvers: the same socket.feb, pressure by pressure.
 
     limbcli segment CASE --out OUT; limbcli limb CASE --out OUT --c-kpa 16
-    python tests/benchmarks/socket_febio.py CASE --out OUT --work DIR [--friction 0.3] [--penetration-mm 0.1]
+    python -m tests.benchmarks.socket_febio CASE --out OUT --work DIR [--friction 0.3] [--penetration-mm 0.1]
         [--donning-steps 10] [--load-steps 5] [--slip-as-febio] [--only reference]
 
 Writes socket.feb as `limbcli socket` does, runs the reference solver and FEBio (found as limbcli finds it, or
@@ -37,7 +37,7 @@ from limbcli.feb.records import read_records
 from limbcli.feb.write import write_feb
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.model.npz_file import load_model
-from limbcli.sockets.donning import SOCKET, socket_model, tractions
+from limbcli.sockets.donning import SOCKET, don_and_load, tractions
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.in_socket.limb_in_socket import put_together
 from limbcli.stages.socket import SocketOptions, donning_options
@@ -66,7 +66,9 @@ def written(options: argparse.Namespace, feb: Path) -> None:
         ),
         together,
     )  # fmt: skip
-    with_records(socket_model(together.limb, together.face, asked), feb)
+    # solved, as the first load begins with what holds the donned socket
+    asked = replace(asked, slip_as_febio=options.slip_as_febio)
+    with_records(don_and_load(together.limb, together.face, asked, threads=1).model, feb)
 
 
 def with_records(model: LimbModel, feb: Path) -> None:
@@ -188,7 +190,8 @@ def main() -> None:
     if options.only == "reference":
         return reference(feb, slip_as_febio=options.slip_as_febio)
     if not (options.work / REFERENCE).is_file() and options.only != "febio":
-        subprocess.run([sys.executable, __file__, *sys.argv[1:], "--only", "reference"], check=True)
+        module = [sys.executable, "-m", "tests.benchmarks.socket_febio"]
+        subprocess.run([*module, *sys.argv[1:], "--only", "reference"], check=True)
     if not (options.work / FEBIO).is_file():
         febio(feb, FebioSolver(binary=options.febio).need())
     if options.only is None:

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from limbcli.feb.settings import schedule
-from limbcli.fitting.contact_check import forces_with_penalty
 from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.kept_solves import KeptForces, KeptSolves
+from limbcli.fitting.solve_again import forces_again
 from limbcli.inference.prediction import Prediction
-from limbcli.site_model.indentation_model import indentation_model, with_tissue
+from limbcli.site_model.indentation_model import indentation_model, with_penalty, with_tissue
 from limbcli.solvers.session import ReferenceSession
 from tests.stages.block_case import block_model
 
@@ -61,7 +61,8 @@ def test_a_curve_and_a_check_are_not_solved_twice(tmp_path, monkeypatch):
         first, depths = curve(theta, (0, 1)), curve.depths
         levels = curve.levels_at(theta)
     fitted = with_tissue(model, c=0.005, f_kappa=50.0, m=3.0)
-    harder = forces_with_penalty(fitted, 80.0, levels=levels, kept=kept)
+    stiffer = with_penalty(fitted, 80.0)
+    harder = forces_again(stiffer, "contact check", levels=levels, kept=kept)
 
     def refuse(*_args, **_options):
         raise AssertionError("solved again")
@@ -76,4 +77,4 @@ def test_a_curve_and_a_check_are_not_solved_twice(tmp_path, monkeypatch):
         assert list(curve.levels_at(theta).states) == list(levels.states)
         with pytest.raises(AssertionError, match="solved again"):
             curve(np.array([60.0, 3.0]), (0, 1))
-    assert forces_with_penalty(fitted, 80.0, kept=kept).tolist() == harder.tolist()
+    assert forces_again(stiffer, "contact check", kept=kept).tolist() == harder.tolist()

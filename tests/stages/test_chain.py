@@ -18,7 +18,7 @@ from limbcli.case import Case
 from limbcli.cli.app import main
 from limbcli.errors import CaseError, ToolError
 from limbcli.files.atomic import sha256
-from limbcli.provenance import chain as chain_module
+from limbcli.provenance import staleness
 from limbcli.provenance.chain_inputs import noted
 from limbcli.provenance.staleness import Chain, note_earlier
 from limbcli.results import open_stage, read_result, sealed
@@ -410,4 +410,4 @@ def test_a_result_without_links_of_its_own_is_taken_as_it_is(tmp_path: Path):
     case = chain_case.write_case(tmp_path / "case")
     with open_stage(tmp_path / "out", "mesh", subject="S1", site="p1"):
         pass
-    assert chain_module.Chain(case, tmp_path / "out").result("mesh", site="p1").stage == "mesh"
+    assert staleness.Chain(case, tmp_path / "out").result("mesh", site="p1").stage == "mesh"
