@@ -37,8 +37,8 @@ _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stif
 _OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
 _MOST_AUGMENTATIONS = 20
 _MOST_REFORMATIONS = 25
-# FEBio shortens the steps that follow one of more iterations than this, counted over all its augmentations; the
-# number of steps changes the friction
+# FEBio shortens the steps that follow one of more iterations than this, counted over all its augmentations;
+# the number of steps changes the friction
 _ANY_ITERATIONS = _MOST_REFORMATIONS * (_MOST_AUGMENTATIONS + 1)
 _CELL_FIELDS = ("E1", "sed")
 
