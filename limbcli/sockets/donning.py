@@ -38,6 +38,10 @@ _ABOUT = {"x": "u", "y": "v", "z": "w"}
 _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
 _OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
 _MOST_AUGMENTATIONS = 20
+_MOST_REFORMATIONS = 25
+# FEBio shortens the steps that follow one of more iterations than this, counted over all its augmentations;
+# the number of steps changes the friction
+_ANY_ITERATIONS = _MOST_REFORMATIONS * (_MOST_AUGMENTATIONS + 1)
 _SAME_TIME = 1e-9
 _CELL_FIELDS = ("E1", "sed")
 
@@ -293,7 +297,7 @@ def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
     # friction and in augmented contact without
     control = {
         "symmetric_stiffness": "non-symmetric",
-        "max_refs": 25,
+        "max_refs": _MOST_REFORMATIONS,
         "qn_method": "Broyden",
         "max_ups": 10,
     }
@@ -302,6 +306,7 @@ def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
         n_steps=options.donning_steps,
         step_size=1.0 / options.donning_steps,
         dt_max=1.0 / options.donning_steps,
+        opt_iterations=_ANY_ITERATIONS,
         must_points=(1.0,),
         control=control,
         drives=fixed([options.axis, *others]),
@@ -316,6 +321,7 @@ def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
         n_steps=options.load_steps * len(options.loads_n),
         step_size=1.0 / options.load_steps,
         dt_max=1.0 / options.load_steps,
+        opt_iterations=_ANY_ITERATIONS,
         must_points=tuple(float(k + 1) for k in range(len(options.loads_n))),
         control=control,
         drives=(*fixed(others), push, *at_knee),

@@ -49,7 +49,7 @@ FORCE = LogRecord("rigid_body", ("Fz", "z"), "force.txt", SOCKET)
 
 def written(options: argparse.Namespace, feb: Path) -> None:
     """socket.feb of a case with FEBio's records of pressures and of the socket."""
-    case = Case.open(options.case)
+    case = Case.open_images(options.case)
     given, problems = read_socket(case.raw, CaseFiles.of(case.raw, case.folder))
     if given is None:
         raise SystemExit("\n".join(map(str, problems)) or f"{options.case} gives no [socket]")

@@ -180,6 +180,13 @@ def test_febio_completes_donning_and_load_with_friction(tmp_path: Path) -> None:
     assert float(last.split(",")[-1]) == pytest.approx(0.5, rel=0.01)
 
 
+def test_febio_takes_the_time_steps_of_the_model_however_often_it_augments() -> None:
+    """With opt_iter 25 FEBio 4.11 took 7 steps for 5: the iterations of 2 augmentations are more."""
+    model = socket_model(limb(), face(), replace(OPTIONS, penetration_mm=0.015))
+    most = int(model.contacts[0].more["maxaug"]) * int(model.steps[0].control["max_refs"])
+    assert all(step.opt_iterations > most for step in model.steps)
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_febio_is_asked_for_an_unsymmetric_matrix(friction: float) -> None:
     """With a symmetric one FEBio 4.11 failed in the step after donning: augmented, without friction."""
