@@ -84,7 +84,7 @@ def fit(
     SolveError, FitError
         If the model cannot be solved at the start values, or the search does not converge.
 
-    Source: Levenberg-Marquardt, Nocedal and Wright, Numerical Optimization, 2nd ed., chapter 10; profile
+    Source: bounded least squares, Voglis and Lagaris 2004 (scipy's "dogbox"); profile
     likelihood, Venzon and Moolgavkar 1988, doi:10.2307/2347496.
     """
     from limbcli.stages import fit as stage

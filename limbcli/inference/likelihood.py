@@ -312,7 +312,7 @@ class Likelihood:
         for each in self.blocks:
             solved = np.log([place for place, _ in each.emulator.curve.solved])
             for row, logs in zip(each.place.factors[2:], (solved - each.place.offset[2:]).T, strict=True):
-                k = int(np.argmax(row))
+                k = int(np.argmax(np.abs(row)))  # a stretch may enter with -1
                 if k > self.n_shape or np.count_nonzero(row) != 1:
                     continue
                 factor = C_STEP_FACTOR if k == 0 else self.parameters[k].step_factor
