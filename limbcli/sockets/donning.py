@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
 SOCKET, FACE = "socket", "socket_face"
 _DONNING, _CLOSING, _LOAD = "donning", "closing", "socket_load"
-_KNEE, _LETTING_GO = "knee_load", "letting_go"
+_KNEE, _RELEASE = "knee_load", "socket_release"
 _ABOUT = {"x": "u", "y": "v", "z": "w"}
 _FIRST_PENALTY = 1e-4  # of the full one: about a hundredth of a limb's own stiffness
 _OPEN = 1e6  # of the penetration's tolerance: before the end of donning each step sets the multipliers once
@@ -240,7 +240,7 @@ def don_and_load(
             return
         states.append(_state(running, snapshot, next(loads)))
         if len(states) == 1 and len(running.model.steps) > 1:
-            running.model = let_go(running.model, states[0])
+            running.model = with_gradual_release(running.model, states[0])
 
     try:
         analysis.run(visit)
@@ -329,15 +329,15 @@ def _steps(options: DonningOptions, centre: Array) -> tuple[Step, ...]:
     return donning, loading
 
 
-def let_go(model: LimbModel, donned: SocketState) -> LimbModel:
+def with_gradual_release(model: LimbModel, donned: SocketState) -> LimbModel:
     """The model whose loading begins with the forces and moments that hold the socket where it was donned:
     they pass over into the first load. Let go at once, the limb would spring back, and skin that sticks
     would slip."""
     donning, loading = model.steps
     held = dict(zip("xyzuvw", (*donned.socket_force_n, *donned.socket_moment_n_mm), strict=True))
     free = {drive.dof: drive.kind for drive in loading.drives if drive.kind in ("force", "moment")}
-    still = [Drive(SOCKET, dof, kind, float(held[dof]), _LETTING_GO) for dof, kind in free.items()]  # type: ignore[arg-type]
-    curves = {**model.curves, _LETTING_GO: Curve(((0.0, 1.0), (1.0, 1.0), (2.0, 0.0)))}
+    still = [Drive(SOCKET, dof, kind, float(held[dof]), _RELEASE) for dof, kind in free.items()]  # type: ignore[arg-type]
+    curves = {**model.curves, _RELEASE: Curve(((0.0, 1.0), (1.0, 1.0), (2.0, 0.0)))}
     return replace(model, curves=curves, steps=(donning, replace(loading, drives=(*loading.drives, *still))))
 
 

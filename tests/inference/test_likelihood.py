@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -84,3 +86,15 @@ def test_a_simulation_is_at_most_one_step_factor_beyond_the_solved_points(simula
     problem = likelihood_of([block_of(Emulator(memory_of(simulated)), np.eye(5))])
     near = problem.within_reach(np.array([C0, 5000.0, 1e-3, 1.0]))
     np.testing.assert_allclose(near, [C0, 1000.0, 0.2, 1.0])
+
+
+def test_a_parameter_that_enters_by_its_reciprocal_is_not_taken_for_c(simulated):
+    """As the stretch of a state does: simulations step outwards in the law's shape, c keeps its value."""
+    reciprocal = np.array([[0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, -1.0]])
+    place = Place.of(4, c0=C0, shape=(), offset=np.log([1.0, 3.0]), factors=reciprocal)
+    plain = block_of(Emulator(memory_of(simulated)), np.eye(5))
+    problem = likelihood_of([dataclasses.replace(plain, place=place)])
+    far = THETA * [1.0, 1e3, 1.0, 1.0]
+    near = problem.within_reach(far)
+    assert near[1] < far[1]
+    assert near[[0, 2, 3]].tolist() == far[[0, 2, 3]].tolist()

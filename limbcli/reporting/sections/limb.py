@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, head, placeholder
+from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, pictures_of, placeholder, table
 
 TITLE = "Is the model of the whole limb right?"
 _CAPTION = (
@@ -26,15 +26,13 @@ def limb(page: ReportData) -> Reportlet | None:
     result = outcome.usable
     if result is None:
         return placeholder("limb", TITLE, outcome)
-    picture = result.path("picture") if "picture" in result.files else None
     alt = "The limb's model from four sides, its named patches and the sites."
-    shown = picture is not None and picture.is_file()
     look_for, bad = _CAPTION
     return Reportlet(
         "limb",
         TITLE,
         "warning" if result.warnings else "neutral",
-        pictures=(Picture("limb", alt, source=picture, vector=False),) if shown else (),
+        pictures=pictures_of(result, {"picture": ("limb", alt)}),
         tables=(_stiffness(result.data["stiffness"]), *_left_out(result.data["stiffness"].get("field"))),
         look_for=look_for,
         bad=bad,
@@ -47,10 +45,10 @@ def _stiffness(data: Mapping[str, Any]) -> PageTable:
     """Mean c and the share of the elements by where their c comes from."""
     counts = {name: int(n) for name, n in data["elements"].items()}
     total = max(sum(counts.values()), 1)
-    names = head("mean c", *(f"{name} elements" for name in counts))
+    names = ("mean c", *(f"{name} elements" for name in counts))
     shares = (Cell(f"{100 * n / total:.0f} %") for n in counts.values())
-    row = (Cell(quantity(float(data["c_kpa"]), "kPa", digits=3), lead=True), *shares)
-    return PageTable(f"Stiffness of the tissue: {data['source']}", (names,), (row,))
+    row = (quantity(float(data["c_kpa"]), "kPa", digits=3), *shares)
+    return table(f"Stiffness of the tissue: {data['source']}", names, [row])
 
 
 def _left_out(field: Mapping[str, Any] | None) -> tuple[PageTable, ...]:
@@ -62,6 +60,6 @@ def _left_out(field: Mapping[str, Any] | None) -> tuple[PageTable, ...]:
         inside = "inside" if each["inside"] else "outside"
         predicted = f"{each['predicted_kpa']:.1f} ({low:.1f} to {high:.1f})"
         c = Cell(f"{each['c_kpa']:.1f}") if each["c_kpa"] else Cell(DASH, reason="not known")
-        rows.append((Cell(each["site"], lead=True), c, Cell(predicted), Cell(inside)))
-    names = head("site left out", "its c", "c from the others (95 %)", "interval")
-    return (PageTable("Each site predicted without itself, kPa", (names,), tuple(rows)),) if rows else ()
+        rows.append((each["site"], c, Cell(predicted), Cell(inside)))
+    names = ("site left out", "its c", "c from the others (95 %)", "interval")
+    return (table("Each site predicted without itself, kPa", names, rows),) if rows else ()
