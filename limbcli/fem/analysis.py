@@ -26,6 +26,8 @@ from limbcli.model import LimbModel, Step, Support
 from limbcli.model.bodies import Drive
 from limbcli.progress import SILENT, Progress
 
+_FIRST_ITERATE = 0.999  # part of a time step that FEBio's first iterate is taken to make
+
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
@@ -42,8 +44,6 @@ class Snapshot:
     must: bool
     listed: bool
 
-
-_FIRST_ITERATE = 0.999  # part of a time step that FEBio's first iterate is taken to make
 
 Visitor = Callable[["Analysis", Snapshot], None]
 Guesses = Callable[[System, float], State | None]
@@ -144,11 +144,7 @@ class Analysis:
     def _held_anew(self, state: State, target: float, load_step: LoadStep, *, brief: bool) -> State:
         """Equilibrium nearly at the end of a time step, from which friction measures the rest of the step."""
         within = state.time + _FIRST_ITERATE * (target - state.time)
-        self._stepping.augments = False
-        try:
-            state, _ = self._stepping.advance_to(within, load_step, None, brief=brief)
-        finally:
-            self._stepping.augments = True
+        state, _ = self._stepping.advance_to(within, load_step, None, brief=brief, augments=False)
         self.system.remember(state)
         return state
 

@@ -56,7 +56,6 @@ class LoadStepping:
         self._wary = 0
         self._forces: Forces | None = None  # at the last load step
         self.patient = True  # whether to fall back on relaxation where Newton's method fails
-        self.augments = True  # whether augmented contact sets its multipliers at the end of a load step
 
     def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
         """Initialise for an analysis step. histories : stress histories to advance with every increment"""
@@ -72,12 +71,13 @@ class LoadStepping:
         self._n_touching = self._n_pressed = 0
 
     def advance_to(
-        self, target: float, load_step: LoadStep, known: State | None, *, brief: bool
+        self, target: float, load_step: LoadStep, known: State | None, *, brief: bool, augments: bool = True
     ) -> tuple[State, Forces]:
         """Equilibrium at a time, reached by increments for which Newton's method converges.
 
         known : initial guess at the target, from an earlier solve
         brief : give up after a few cuts and iterations
+        augments : whether augmented contact sets its multipliers at the target
 
         Intermediate increments only provide initial guesses and are solved to a loose tolerance, except
         with a viscoelastic law. For their outcomes see `increments.IncrementOutcome`.
@@ -85,7 +85,7 @@ class LoadStepping:
         newton = self._newton
         newton.mixed = newton.settings.mixed
         way = LoadStepPath(
-            target, load_step, known, brief,
+            target, load_step, known, brief, augments=augments,
             most_cuts=BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries),
             most_iterations=newton.counts.iterations + _BRIEF_ITERATIONS if brief else None,
             start=(len(self._reached), self._n_pressed, self._n_touching),
@@ -131,7 +131,7 @@ class LoadStepping:
         try:
             found = self._solve(way, increment, patient=patient)
             if increment.is_last:
-                found = self._augmented(*found, way.load_step)
+                found = self._augmented(*found, way)
         except (NotConverged, SingularMatrix) as error:
             exhausted = way.is_exhausted
             if way.known is None:
@@ -164,7 +164,7 @@ class LoadStepping:
             way.known = None
             self._increment = increment.length
             if increment.is_last:
-                state, forces = self._augmented(state, forces, way.load_step)
+                state, forces = self._augmented(state, forces, way)
         else:
             easy = _EASY + (2 if increment.is_last else 0)
             easily = self._newton.counts.iterations - increment.iterations_before <= easy
@@ -329,15 +329,15 @@ class LoadStepping:
             reached_depth_mm=depth,
         )
 
-    def _augmented(self, state: State, forces: Forces, load_step: LoadStep) -> tuple[State, Forces]:
+    def _augmented(self, state: State, forces: Forces, way: LoadStepPath) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
-        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented and self.augments]
+        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented and way.augments]
         before = [pair.multipliers() for pair in pairs]
         n_before = 0
         try:
             settled = [pair.augment(n_before) for pair in pairs]
             while not all(settled):
-                state, forces = self._newton.equilibrate(state, load_step)
+                state, forces = self._newton.equilibrate(state, way.load_step)
                 n_before += 1
                 settled = [pair.augment(n_before) for pair in pairs]
         except SolveError:

@@ -47,7 +47,7 @@ def _stiffness(data: Mapping[str, Any]) -> PageTable:
     total = max(sum(counts.values()), 1)
     names = ("mean c", *(f"{name} elements" for name in counts))
     shares = (Cell(f"{100 * n / total:.0f} %") for n in counts.values())
-    row = (quantity(float(data["c_kpa"]), "kPa", digits=3), *shares)
+    row: tuple[Cell | str, ...] = (quantity(float(data["c_kpa"]), "kPa", digits=3), *shares)
     return table(f"Stiffness of the tissue: {data['source']}", names, [row])
 
 
