@@ -229,22 +229,30 @@ class System(RigidLoads, ElementLoops):
         """Which points (n_facets, n_gauss) of each patch are in contact, according to the last search."""
         return tuple(p.state[..., TRACTION] > 0 for pair in self.pairs for p in pair.patches)
 
-    def add_contact(self, state: State, values: Array) -> Array:
-        """A copy of the matrix values with the symmetric part of the contact tangent (last search) added."""
+    def add_contact(self, state: State, values: Array, *, couples: bool = True) -> Array:
+        """A copy of the matrix values with the symmetric part of the contact tangent (last search) added.
+
+        couples : see `Pair.blocks`
+        """
         values = values.copy()
         for pair in self.pairs:
-            for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
+            found = pair.blocks(self.X + state.u, couples=couples)
+            for patch, (blocks, touched) in zip(pair.patches, found, strict=True):
                 add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
         return values
 
-    def contact_matrix(self, state: State, places: IntArray, n: int) -> sparse.csr_array:
+    def contact_matrix(
+        self, state: State, places: IntArray, n: int, *, couples: bool = True
+    ) -> sparse.csr_array:
         """Exact contact tangent (n, n) of the last search, for a subset of the unknowns.
 
         places (n_points, 3) : row of each degree of freedom in the result; -1 leaves it out
+        couples : see `Pair.blocks`
         """
         parts = []
         for pair in self.pairs:
-            for patch, (blocks, touched) in zip(pair.patches, pair.blocks(self.X + state.u), strict=True):
+            found = pair.blocks(self.X + state.u, couples=couples)
+            for patch, (blocks, touched) in zip(pair.patches, found, strict=True):
                 size = 3 * patch.facets.shape[1]
                 mine = places[patch.facets[touched]].reshape(-1, size)
                 values = blocks[touched].reshape(-1, size, size)

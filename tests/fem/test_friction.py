@@ -97,6 +97,29 @@ def test_tangent_agrees_with_differences(
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
 
 
+def test_the_factored_matrix_of_a_slip_is_definite() -> None:
+    """That shear follows pressure makes the symmetric part of a slip's tangent indefinite: it is left out of
+    the factor, which GMRES otherwise could not correct on a large limb."""
+    model = replace(dragged(3.0, mu=0.5), mesh=punch("hex8", (3, 3, 2), width=40.0).mesh)
+    contacts = tuple(replace(each, penalty=400.0) for each in model.contacts)
+    model = replace(model, supports=model.supports[:1], contacts=contacts)
+    analysis, end = last(model)
+    system, linearised = analysis.system, analysis.newton.linearised
+    forces = system.forces(end.state)
+    assert not any((p.state[..., friction_kernels.STICKS] > 0).any() for p in system.pairs[0].patches)
+    linearised.refresh(end.state, forces.nodal)
+    assert linearised.tangent is not None
+    of_tissue = linearised.tangent.upper()
+    lowest = {
+        couples: np.linalg.eigvalsh(
+            system.pattern.matrix(system.add_contact(end.state, of_tissue, couples=couples)).toarray()
+        )[0]
+        for couples in (True, False)
+    }
+    assert lowest[True] < 0 < lowest[False]
+    assert linearised.n_unstable == 0
+
+
 @pytest.mark.parametrize(("x", "mu", "slips"), [(0.02, 0.9, False), (3.0, 0.3, True)])
 def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu: float, slips: bool) -> None:
     """A block that sticks in part or slips under a plate, by a penalty that alone leaves a large gap."""

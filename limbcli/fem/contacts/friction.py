@@ -118,15 +118,15 @@ class FrictionPair(Pair):
                 p.state, center, v, motion, out, body,
             )  # fmt: skip
 
-    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
+    def blocks(self, x: Array, *, couples: bool = True) -> list[tuple[Array, Array]]:
         center = self.rigid.center + self.now.shift
         found = []
         for p, before, pull in zip(self.patches, self.before, self.pulls, strict=True):
             n = p.facets.shape[1]
             out = np.empty((len(p.facets), n, 3, n, 3))
             touched = friction_kernels.blocks(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, before, self.move, pull,
-                p.state, center, out,
+                x, p.facets, p.N, p.dN, p.weights, p.eps, self.mu, self.full_tangent, float(couples), before,
+                self.move, pull, p.state, center, out,
             )  # fmt: skip
             found.append((out, touched))
         return found

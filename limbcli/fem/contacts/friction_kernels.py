@@ -166,12 +166,14 @@ def force(facets, N, weights, state, center, out, body):
 
 @njit
 def _change(
-    row, before, move, pull, eps, mu, yields, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df, darm
+    row, before, move, pull, eps, mu, yields, couples, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df,
+    darm,
 ):
     """Change of |n| T, and of the lever arm from the body's centre, for changes of the point and the body.
 
     y, c, m : from `_slip`, used if the point slips
     yields : 1 for the exact derivative; 0 for stiffness mu p/|y| along a slip as well as across it
+    couples : 1 for the exact derivative; 0 for shear of a slip that does not follow the pressure
     """
     dn, dnu, w, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     size = normal_change(g1, g2, n, d1, d2, dn, dnu)
@@ -234,7 +236,7 @@ def _change(
     for i in range(3):
         shear = eps * dy[i]
         if full:
-            shear = mu * (dp * y[i] + p * (dy[i] - yields * along * y[i] / length)) / length
+            shear = mu * (couples * dp * y[i] + p * (dy[i] - yields * along * y[i] / length)) / length
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
 
 
@@ -255,8 +257,8 @@ def times(
             size = _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             _change(
-                row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c, m, dr,
-                d1, d2, motion, df, darm,
+                row, before[f, k], move, pull[f, k], eps[f], mu, yields, 1.0, center, r, g1, g2, n, y, c, m,
+                dr, d1, d2, motion, df, darm,
             )  # fmt: skip
             for i in range(3):
                 df[i] *= weights[k]
@@ -268,7 +270,7 @@ def times(
 
 
 @njit
-def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state, center, out):
+def blocks(x, facets, N, dN, weights, eps, mu, yields, couples, before, move, pull, state, center, out):
     """Tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
     nodes = facets.shape[1]
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -293,8 +295,8 @@ def blocks(x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state
                     d2[:] = 0.0
                     dr[j], d1[j], d2[j] = N[k, b], dN[k, b, 0], dN[k, b, 1]
                     _change(
-                        row, before[f, k], move, pull[f, k], eps[f], mu, yields, center, r, g1, g2, n, y, c,
-                        m, dr, d1, d2, still, df, darm,
+                        row, before[f, k], move, pull[f, k], eps[f], mu, yields, couples, center, r, g1, g2,
+                        n, y, c, m, dr, d1, d2, still, df, darm,
                     )  # fmt: skip
                     for a in range(nodes):
                         for i in range(3):

@@ -85,8 +85,11 @@ class Pair:
                 out, body,
             )  # fmt: skip
 
-    def blocks(self, x: Array) -> list[tuple[Array, Array]]:
-        """Tangent of each patch's facets (n_facets, n, 3, n, 3), and which facets touch."""
+    def blocks(self, x: Array, *, couples: bool = True) -> list[tuple[Array, Array]]:
+        """Tangent of each patch's facets (n_facets, n, 3, n, 3), and which facets touch.
+
+        couples : False leaves out that the shear of a slip follows the pressure
+        """
         found = []
         for p in self.patches:
             n = p.facets.shape[1]

@@ -166,14 +166,14 @@ class Inverse:
         root = getattr(linear, "root", None)
         self.n_root = 0 if root is None or not system.pairs else len(root)
         if self.n:
-            linear.factor(system.add_contact(state, tangent.upper()))
+            linear.factor(system.add_contact(state, tangent.upper(), couples=False))
         if self.n_root:
             places = np.full(self.n + 1, -1, dtype=np.int64)
             places[root] = np.arange(self.n_root)
             self.places = places[system.equations]
-            exact = self._contact(state)
-            self.inside = 0.5 * (exact + exact.T)  # contact part contained in the factored matrix
-            self._take(exact)
+            inside = self._contact(state, couples=False)
+            self.inside = 0.5 * (inside + inside.T)  # contact part contained in the factored matrix
+            self._take(self._contact(state))
         self._set_border(state)
 
     def follow(self, state: State) -> None:
@@ -201,9 +201,9 @@ class Inverse:
         touching = [each.ravel() for each in system.touching()]
         return np.concatenate(touching), [pair.full_tangent for pair in system.pairs]
 
-    def _contact(self, state: State) -> sparse.csr_array:
+    def _contact(self, state: State, *, couples: bool = True) -> sparse.csr_array:
         """The contact tangent of the root front's unknowns."""
-        return self.tangent.system.contact_matrix(state, self.places, self.n_root)
+        return self.tangent.system.contact_matrix(state, self.places, self.n_root, couples=couples)
 
     def _set_border(self, state: State) -> None:
         system = self.tangent.system
