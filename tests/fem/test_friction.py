@@ -16,6 +16,7 @@ from limbcli.fem.contacts import friction_kernels
 from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
+from limbcli.fem.linear_solvers.krylov import gmres
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.model import Curve, Curved, ElementMap, LimbModel, Material, Step, Support, Value
@@ -97,27 +98,27 @@ def test_tangent_agrees_with_differences(
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
 
 
-def test_the_factored_matrix_of_a_slip_is_definite() -> None:
-    """That shear follows pressure makes the symmetric part of a slip's tangent indefinite: it is left out of
-    the factor, which GMRES otherwise could not correct on a large limb."""
-    model = replace(dragged(3.0, mu=0.5), mesh=punch("hex8", (3, 3, 2), width=40.0).mesh)
+def test_a_factor_serves_where_all_skin_slips(rng: np.random.Generator) -> None:
+    """That shear follows pressure makes the symmetric part of a slip's tangent indefinite. It is not in the
+    factor: with it, GMRES needed 103 iterations here, and did not converge on a whole limb."""
+    model = replace(dragged(3.0), mesh=punch("tet10", (3, 3, 2), width=40.0).mesh)
     contacts = tuple(replace(each, penalty=400.0) for each in model.contacts)
-    model = replace(model, supports=model.supports[:1], contacts=contacts)
-    analysis, end = last(model)
+    analysis = Analysis(
+        replace(model, supports=model.supports[:1], contacts=contacts), replace(QUICK, linear="superlu")
+    )
+    state = analysis.run()[-1].state
     system, linearised = analysis.system, analysis.newton.linearised
-    forces = system.forces(end.state)
+    forces = system.forces(state)
     assert not any((p.state[..., friction_kernels.STICKS] > 0).any() for p in system.pairs[0].patches)
-    linearised.refresh(end.state, forces.nodal)
-    assert linearised.tangent is not None
-    of_tissue = linearised.tangent.upper()
-    lowest = {
-        couples: np.linalg.eigvalsh(
-            system.pattern.matrix(system.add_contact(end.state, of_tissue, couples=couples)).toarray()
-        )[0]
-        for couples in (True, False)
-    }
-    assert lowest[True] < 0 < lowest[False]
-    assert linearised.n_unstable == 0
+    linearised.refresh(state, forces.nodal)
+    tangent, inverse = linearised.tangent, linearised.inverse
+    assert tangent is not None and inverse is not None
+    _, n, reached = gmres(
+        lambda v: tangent.times(state, v), inverse, rng.standard_normal(system.n_unknowns),
+        tolerance=1e-8, max_iterations=200,
+    )  # fmt: skip
+    assert reached <= 1e-8
+    assert n < 30
 
 
 @pytest.mark.parametrize(("x", "mu", "slips"), [(0.02, 0.9, False), (3.0, 0.3, True)])

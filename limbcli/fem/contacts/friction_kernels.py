@@ -166,7 +166,27 @@ def force(facets, N, weights, state, center, out, body):
 
 @njit
 def _change(
-    row, before, move, pull, eps, mu, yields, couples, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df,
+    row,
+    before,
+    move,
+    pull,
+    eps,
+    mu,
+    yields,
+    couples,
+    center,
+    r,
+    g1,
+    g2,
+    n,
+    y,
+    c,
+    m,
+    dr,
+    d1,
+    d2,
+    motion,
+    df,
     darm,
 ):
     """Change of |n| T, and of the lever arm from the body's centre, for changes of the point and the body.
