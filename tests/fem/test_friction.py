@@ -112,7 +112,8 @@ def test_a_factor_serves_where_all_skin_slips(rng: np.random.Generator) -> None:
     assert not any((p.state[..., friction_kernels.STICKS] > 0).any() for p in system.pairs[0].patches)
     linearised.refresh(state, forces.nodal)
     tangent, inverse = linearised.tangent, linearised.inverse
-    assert tangent is not None and inverse is not None
+    assert tangent is not None
+    assert inverse is not None
     _, n, reached = gmres(
         lambda v: tangent.times(state, v), inverse, rng.standard_normal(system.n_unknowns),
         tolerance=1e-8, max_iterations=200,
