@@ -42,7 +42,6 @@ _MARGIN_MM = 10.0  # the contact sees the socket this much farther than the deep
 _LEAST_RADIUS_MM = 30.0
 _MOST_OFF = 0.1  # error of the held-out solve above which the intervals are called rough
 _SOFT_MM, _SOFT = 0.5, 0.2  # penetration that is reported: mm, and of the deepest interference
-_MOST_WITH_FRICTION = 20_000  # nodes above which friction gets a warning: with 38,000 it hardly converges
 _BALANCE = 1e-4  # of the largest force: a larger remainder is an error
 
 
@@ -100,7 +99,7 @@ def socket(
         together = put_together(load_model(limb.path("model")), given, writer)
         donning = donning_options(given, options, together)
         _report_fit(writer, together, given)
-        result = _solved(together, donning, progress)
+        result = don_and_load(together.limb, together.face, donning, progress=progress)
         masks = patch_masks(together.limb)
         rows = patch_rows(result.states, masks, together.skin.areas)
         _report(writer, result, rows, together)
@@ -161,24 +160,6 @@ def donning_options(given: SocketInput, options: SocketOptions, together: LimbIn
         knee=together.knee,
         search_radius_mm=max(_LEAST_RADIUS_MM, together.fit.deepest_mm + _MARGIN_MM),
     )
-
-
-def _solved(together: LimbInSocket, donning: DonningOptions, progress: Progress) -> DonningResult:
-    """Donning and loads; where friction on a large model ends without equilibrium, the error says so."""
-    n_nodes = len(together.limb.mesh.points)
-    hard = donning.friction > 0 and n_nodes > _MOST_WITH_FRICTION
-    advice = (
-        f"friction with {n_nodes} nodes hardly converges: make a smaller limb (limbcli limb CASE --nodes "
-        f"8000), or set friction = 0 in [socket]"
-    )
-    if hard:
-        progress.event("note", text=advice)
-    try:
-        return don_and_load(together.limb, together.face, donning, progress=progress)
-    except SolveError as error:
-        if not hard:
-            raise
-        raise SolveError(error.what, where=error.where, fix=advice, n_nodes=n_nodes) from error
 
 
 def _intervals(

@@ -14,15 +14,13 @@ import pytest
 import limbcli
 from limbcli.case import Case
 from limbcli.case.socket import KneeInput, LinerInput, SocketInput
-from limbcli.errors import CaseError, MeshError, SolveError
+from limbcli.errors import CaseError, MeshError
 from limbcli.feb.read import read_feb
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model.npz_file import load_model
 from limbcli.progress import SILENT
 from limbcli.provenance.staleness import Chain
 from limbcli.results import read_result
-from limbcli.sockets.donning import DonningOptions
-from limbcli.stages import socket as stage
 from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import put_together
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
@@ -207,22 +205,6 @@ def test_landmarks_that_the_limb_does_not_have_are_named(limb_made, tmp_path: Pa
     marks = {"tibial_end": (0.0, 0.0, 0.0), "knee": (0.0, 1.0, 0.0), "distal_tip": (1.0, 0.0, 0.0)}
     with pytest.raises(CaseError, match="no landmark 'knee'"):
         together(limb_made, sleeve(), tmp_path / "socket.ply", landmarks=marks)
-
-
-def test_friction_on_a_large_limb_is_named_as_the_reason(monkeypatch):
-    def fails(*_arguments, **_options):
-        raise SolveError("donning has no equilibrium", where="step 3", fix="more steps")
-
-    monkeypatch.setattr(stage, "don_and_load", fails)
-    many = SimpleNamespace(
-        limb=SimpleNamespace(mesh=SimpleNamespace(points=np.zeros((38_000, 3)))), face=None
-    )
-    with pytest.raises(SolveError, match="no equilibrium") as caught:
-        stage._solved(many, DonningOptions(friction=0.3), SILENT)
-    assert "38000 nodes" in caught.value.fix
-    with pytest.raises(SolveError) as caught:
-        stage._solved(many, DonningOptions(friction=0.0), SILENT)
-    assert caught.value.fix == "more steps"
 
 
 def row(c: float, friction: float, shift: float = 0.0) -> PatchPressure:
