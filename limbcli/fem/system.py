@@ -265,7 +265,7 @@ class System(RigidLoads, ElementLoops):
     def within_reach(self) -> IntArray:
         """Sorted equation numbers of the nodes that the rigid surfaces may touch during this step.
 
-        None where they are too many to be eliminated together, as in a socket around a whole limb.
+        Empty where they are too many to be eliminated together, as in a socket around a whole limb.
         """
         nodes = [
             near_nodes(self.X, pair.facets2, patch.facets, patch.normals)

@@ -105,18 +105,11 @@ class Monotone:
         >>> Monotone.through(np.arange(4.0), 2 * np.arange(4.0)).inverse(np.array([0.0, 3.0, 9.0])).round(9)
         array([0. , 1.5, 3. ])
         """
-        growing = np.maximum.accumulate(self.values)
-        k = np.clip(np.searchsorted(growing, wanted, side="right") - 1, 0, len(self.knots) - 2)
-        h = self.knots[k + 1] - self.knots[k]
-        first, d0, d1 = self.values[k], self.slopes[k] * h, self.slopes[k + 1] * h
-        rise = self.values[k + 1] - first
-        square, cube = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
-        low, high = np.zeros(len(wanted)), np.ones(len(wanted))
-        for _ in range(44):
-            t = 0.5 * (low + high)
-            below = first + t * (d0 + t * (square + t * cube)) < wanted
-            low, high = np.where(below, t, low), np.where(below, high, t)
-        return np.asarray(self.knots[k] + 0.5 * (low + high) * h)
+        curve = (np.ascontiguousarray(each, dtype=float) for each in (self.knots, self.values, self.slopes))
+        wanted = np.ascontiguousarray(wanted, dtype=float)
+        out = np.empty(len(wanted))
+        _inverse(*curve, wanted, out)
+        return out
 
     def _piece(self, at: Array | float) -> tuple[IntArray, Array, Array]:
         at = np.asarray(at, dtype=float)
@@ -263,6 +256,39 @@ def _with_lines(knots, values, slopes, at, first, last, far, out):  # type: igno
         found = _hermite(values[k], values[k + 1], slopes[k], slopes[k + 1], h, (inside - knots[k]) / h)
         beyond = first * min(x - knots[0], 0.0) + last * max(x - knots[n - 1], 0.0)
         out[i] = found + min(max(beyond, -far), far)
+
+
+@_kernel
+def _inverse(knots, values, slopes, wanted, out):  # type: ignore[no-untyped-def]
+    """Newton's method for the fraction t of an interval, kept within a bracket that shrinks."""
+    n = len(knots)
+    for i in range(len(wanted)):
+        k, highest = -1, values[0]
+        for j in range(n):
+            highest = max(highest, values[j])
+            if not highest <= wanted[i]:
+                break
+            k = j
+        k = min(max(k, 0), n - 2)
+        h = knots[k + 1] - knots[k]
+        d0, d1, rise = slopes[k] * h, slopes[k + 1] * h, values[k + 1] - values[k]
+        square, cube = 3 * rise - 2 * d0 - d1, d0 + d1 - 2 * rise
+        above = wanted[i] - values[k]
+        low, high, t = 0.0, 1.0, min(max(above / rise, 0.0), 1.0) if rise > 0.0 else 0.5
+        for _ in range(60):
+            left = t * (d0 + t * (square + t * cube)) - above
+            if left < 0.0:
+                low = t
+            else:
+                high = t
+            steep = d0 + t * (2 * square + 3 * t * cube)
+            after = t - left / steep if steep > 0.0 else low
+            if not low < after < high:
+                after = 0.5 * (low + high)
+            step, t = abs(after - t), after
+            if step <= 1e-15:
+                break
+        out[i] = knots[k] + t * h
 
 
 @_kernel

@@ -103,8 +103,13 @@ class Root:
         self._lu.matrix[small, small] = self.store.tiny
         self._made_up, self._is_unsymmetric, self.is_factored = len(small), True, True
 
+    @property
+    def is_kept(self) -> bool:
+        """Whether the front's Schur complement is kept, so that it can be changed."""
+        return len(self._unfactored) > 0
+
     def _need_kept(self) -> None:
-        if not len(self._unfactored):
+        if not self.is_kept:
             raise ValueError("no Schur complement is kept unless `last` is given")
 
     def solve(self, w: Any) -> None:

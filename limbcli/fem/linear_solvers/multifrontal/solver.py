@@ -55,7 +55,7 @@ class Multifrontal:
         self._team = ThreadTeam(min(threads, 2))
         self._blas_threads = ThreadpoolController().select(user_api="blas")
         self._top = Top(self._store, self._team)
-        self._root = Root(self._store, self._top, self.layout.order, kept=last is not None)
+        self._root = Root(self._store, self._top, self.layout.order, kept=last is not None and len(last) > 0)
         self._substitution = Substitution(self.layout, self._store, self._team)
         self._made_up = 0
         self.n_factorisations = self.n_solves = 0
@@ -144,8 +144,8 @@ class Multifrontal:
 
     @property
     def root(self) -> IntArray:
-        """Equation numbers of the root front, in its order."""
-        return self._root.equations
+        """Equation numbers of the root front, in its order; none if `last` named none."""
+        return self._root.equations if self._root.is_kept else self._root.equations[:0]
 
     @property
     def schur(self) -> Array:
