@@ -139,11 +139,9 @@ def test_punch_on_a_bonded_layer_is_that_of_hayes(
 
 
 SETS = {
-    1: (5.445, 2.0, 535.43),
     2: (5.445, 1.389, 616.151),
     3: (10.488, 2.0, 6723.57),
     4: (10.488, 1.044, 6903.8),
-    5: (7.841, 2.0, 1370.95),
     6: (7.841, 3.245, 1147.59),
 }  # c (kPa), m, kappa (kPa)
 
@@ -151,17 +149,17 @@ SETS = {
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("element", "number", "tolerance"),
-    [*(("tet4", k, 1e-4) for k in (2, 3, 4, 5, 6)), ("tet10", 3, 1e-3)],
+    [*(("tet4", k, 1e-4) for k in (2, 4, 6)), ("tet10", 3, 1e-3)],
 )
 def test_limb_agrees_with_febio_at_every_level(
     golden: Path, element: str, number: int, tolerance: float
 ) -> None:
     """tet4 against full Newton; tet10 against FEBio's BFGS, whose own tolerance shows at the first levels:
-    the first four of its ten, as the last ones cost ten times as much."""
+    the first three of its ten, as the last ones cost ten times as much."""
     c, m, kappa = SETS[number]
     model = read_feb(golden / "limb-posterior" / f"{element}.feb.gz")
     model = model.with_material("tissue", ogden_type(c=1e-3 * c, f_kappa=kappa / c, m=m))
-    n_levels = 10 if element == "tet4" else 4
+    n_levels = 10 if element == "tet4" else 3
     (step,) = model.steps
     first = replace(step, must_points=step.must_points[:n_levels], n_steps=step.n_steps * n_levels // 10)
     model = replace(model, steps=(first,))

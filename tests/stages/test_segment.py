@@ -14,6 +14,7 @@ import pytest
 
 from limbcli.case import Case, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.errors import CaseError
+from limbcli.imaging.segmentation import Segmentation, segment_limb
 from limbcli.imaging.surface import read_surface, write_surface
 from limbcli.meshing.surfaces import Triangles
 from limbcli.phantom.dicom_series import write_series
@@ -54,11 +55,23 @@ def series(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def segmented(series, tmp_path_factory):
+def found_in_series() -> list[Segmentation]:
+    """What was found in the images of `segmented`, for tests that ask no more of them."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def segmented(series, found_in_series, tmp_path_factory):
+    def kept(*given, **options):
+        found_in_series.append(segment_limb(*given, **options))
+        return found_in_series[-1]
+
     out = tmp_path_factory.mktemp("out")
     events = []
     progress = Progress(lambda kind, facts: events.append((kind, facts)))
-    result = segment(case_with(series, mri=series), out=out, progress=progress)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("limbcli.stages.segment.segment_limb", kept)
+        result = segment(case_with(series, mri=series), out=out, progress=progress)
     return out, result, events
 
 
@@ -291,7 +304,9 @@ def bone_voxels(result) -> int:
     return int((np.asarray(nib.load(result.path("labels")).dataobj) == 2).sum())
 
 
-def test_an_edited_label_map_wins_until_a_fresh_start(segmented, series, tmp_path):
+def test_an_edited_label_map_wins_until_a_fresh_start(
+    segmented, found_in_series, series, tmp_path, monkeypatch
+):
     _, first, _ = segmented
     out = copied(segmented, tmp_path)
     case = case_with(tmp_path, mri=series)
@@ -301,6 +316,7 @@ def test_an_edited_label_map_wins_until_a_fresh_start(segmented, series, tmp_pat
     assert bone_voxels(result) == bone_voxels(first) - changed
     assert any("edited by hand" in line for line in (*result.summary, *result.warnings))
     assert edited_labels(out) == result.path("labels")  # it wins again when run again
+    monkeypatch.setattr("limbcli.stages.segment.segment_limb", lambda *_, **__: found_in_series[0])
     result = segment(case, out=out, fresh=True)
     assert result.data["source"] == "mri"
     assert bone_voxels(result) == bone_voxels(first)
