@@ -137,7 +137,7 @@ def test_speeds_and_a_second_site_narrow_the_interval(simulated):
 @pytest.mark.slow
 def test_what_cannot_be_seen_stays_open(simulated):
     data = measurement(simulated, c=C0, f_kappa=300.0, m=4.0, rng=np.random.default_rng(7))
-    _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=2)
+    _, found = joint_fit(task(simulated, [data]), STARTS, max_solves=6)
     assert found.profiles["f_kappa"].open_high
     assert not found.profiles["m"].open_high
 

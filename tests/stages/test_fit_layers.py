@@ -145,7 +145,7 @@ def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
 def test_the_joint_fit_uses_layers_and_finds_the_truth(truth, tmp_path):
     case = layered_case(tmp_path, truth)
     found = fit_joint(
-        case, out=tmp_path / "out", joint=JointOptions(max_solves=2),
+        case, out=tmp_path / "out", joint=JointOptions(max_solves=4),
         options=FitOptions(contact_check=False, boundary_check=False),
     )  # fmt: skip
     assert found.data["n_layer_readings"] == 8
