@@ -69,9 +69,9 @@ def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
 
 @pytest.mark.slow
 def test_rates_over_many_data_sets(rng):
-    """At about twice the visible size, of 42 data sets 37 are named and right, one at the most is named wrong,
-    and the set has the truth in all but one. A share of right names of 75 % would pass with 3 %; 10 % of wrong
-    names with 7 %; 10 % of truths that are missing with 7 %."""
+    """At about twice the visible size, of 42 data sets 37 are named and right, one at the most is named
+    wrong, and the set has the truth in all but one. A share of right names of 75 % would pass with 3 %; 10 %
+    of wrong names with 7 %; 10 % of truths that are missing with 7 %."""
     sizes = {"offset": 3.4, "wave": 4.2, "place": 7.2, "guided": 23.0, "bias": 18.0, "step": 7.0, "jump": 7.2}
     right = wrong = inside = 0
     for k in range(42):

@@ -147,7 +147,7 @@ def test_a_joint_fit_counts_its_boundaries_as_an_uncertain_gain_of_the_force(tmp
     case = block.make_case(
         tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=0.008, speeds=speeds, model=cut_from_a_limb()
     )
-    joint, widths = JointOptions(max_solves=1, gain_deviation=0.01), []
+    joint, widths = JointOptions(max_solves=2, gain_deviation=0.01), []
     for checked in (False, True):
         options = FitOptions(contact_check=False, boundary_check=checked)
         data = fit_joint(case, out=tmp_path / "out", joint=joint, options=options).data

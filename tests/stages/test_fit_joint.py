@@ -56,7 +56,7 @@ def case_and_out(measured, tmp_path_factory):
 @pytest.fixture(scope="module")
 def joint(case_and_out):
     case, out = case_and_out
-    return fit_joint(case, out=out, joint=JointOptions(max_solves=4))
+    return fit_joint(case, out=out, joint=JointOptions(max_solves=6))
 
 
 @pytest.mark.slow
