@@ -206,14 +206,12 @@ def test_deep_models_of_others_end_with_febios_forces(shared: Path, tmp_path: Pa
 
 @pytest.mark.slow
 def test_sheared_fibres_agree_with_febio(golden: Path, tmp_path: Path) -> None:
-    """The first half: the band in which the shear term comes in weighs most while strains are small."""
-    ours = begun(golden, "effect-fibre", tmp_path, steps=5, of=10)
+    """The band in which the shear term comes in weighs most while strains are small."""
+    ours = run(golden, "effect-fibre", tmp_path)
     _, mine, theirs = forces(golden, "effect-fibre", ours)
-    assert len(mine) == 5
     np.testing.assert_allclose(mine, theirs, rtol=5e-3)
     assert mine[-1] == pytest.approx(theirs[-1], rel=1e-3)
-    logged = read_records(golden / "effect-fibre" / "nodes.csv")
-    nodes = logged.values[np.argmin(abs(logged.times - ours.times[-1]))]
+    nodes = read_records(golden / "effect-fibre" / "nodes.csv").values[-1]
     np.testing.assert_allclose(ours.nodes["nodes.csv"].values[-1][:, :3], nodes[:, :3], atol=0.01)
 
 
