@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import functools
 from collections.abc import Mapping
 from graphlib import TopologicalSorter
 from pathlib import Path
@@ -36,6 +37,7 @@ def arrows() -> dict[str, set[str]]:
     return found
 
 
+@functools.cache
 def _imported(path: Path) -> set[str]:
     found = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):

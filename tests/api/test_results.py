@@ -264,7 +264,7 @@ def test_fits_of_several_sites_and_of_both_elements(tmp_path: Path):
     assert joint.parameter("c_kpa").value > 0
     assert joint.table()["parameter"].tolist()[0] == "c_kpa"
     assert limbcli.JointFitResult.read(out).rows() == joint.rows()
-    both = limbcli.compare_elements(case, out=out, max_iterations=8)["p1"]
+    both = limbcli.compare_elements(case, out=out, max_iterations=8, tolerance=0.05)["p1"]
     assert both.table()["element"].tolist() == ["tet4", "tet10"]
     assert both.force_ratio_tet4_over_tet10 > 1.0  # linear elements are never softer
 

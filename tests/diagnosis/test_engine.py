@@ -69,21 +69,20 @@ def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
 
 @pytest.mark.slow
 def test_rates_over_many_data_sets(rng):
-    """At about twice the visible size, of 70 data sets 60 are named and right, two at the most are named
-    wrong, and the set has the truth in all but three. They stood at 66, 0 and 70 when this was written. A
-    share of right names of 75 % would pass with 3 %; 10 % of wrong names with 3 %; 10 % of truths that are
-    missing with 7 %."""
+    """At about twice the visible size, of 42 data sets 37 are named and right, one at the most is named
+    wrong, and the set has the truth in all but one. A share of right names of 75 % would pass with 3 %; 10 %
+    of wrong names with 7 %; 10 % of truths that are missing with 7 %."""
     sizes = {"offset": 3.4, "wave": 4.2, "place": 7.2, "guided": 23.0, "bias": 18.0, "step": 7.0, "jump": 7.2}
     right = wrong = inside = 0
-    for k in range(70):
+    for k in range(42):
         name = list(sizes)[k % len(sizes)]
         found = run(toy.make(rng, {name: sizes[name]}), seed=k)
         if found.verdict == "named":
             right, wrong = right + (found.chosen == (name,)), wrong + (name not in found.chosen)
         inside += (name,) in found.confidence_set
-    assert right >= 60
-    assert wrong <= 2
-    assert inside >= 67
+    assert right >= 37
+    assert wrong <= 1
+    assert inside >= 41
 
 
 @pytest.mark.slow

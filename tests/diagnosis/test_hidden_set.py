@@ -34,7 +34,7 @@ def found(arm: str, truth, seed: int = 7, **more):
 @pytest.mark.parametrize("seed", [7, 8])
 def test_nothing_missing_names_nothing(seed):
     """Of false alarms in a share p of all measurements two in a row are without with (1 - p)^2; see also
-    `test_engine` and `test_reduced_site`, which count them."""
+    `test_engine`, which counts them."""
     result = found("nothing", {}, seed)
     assert result.verdict == "adequate"
     assert result.chosen == ()

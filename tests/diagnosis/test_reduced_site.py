@@ -19,7 +19,7 @@ from limbcli.diagnosis.forward_model.changes import logs
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
-from limbcli.effects import EFFECTS, effect
+from limbcli.effects import effect
 from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.reading import Reading, read
 from limbcli.errors import SolveError
@@ -342,21 +342,6 @@ def test_jacobian_is_that_of_the_prediction(rng):
         up[k], down[k] = x[k] + step, x[k] - step
         slope = (the_bench.predictions.predict(up) - the_bench.predictions.predict(down)) / (2 * step)
         assert fitted.jacobian[:, k] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
-
-
-@pytest.mark.slow
-def test_false_alarms_on_the_reduced_model(rng):
-    """None of 2. Alarms at 5 % of all sites pass with 90 %, at 20 % with 64 %, at 50 % with 25 %;
-    `test_engine` counts more of them, on the toy."""
-    names = [
-        each.name for each in EFFECTS if each.name not in ("tilt", "friction", "inclusion", "nonlinearity")
-    ]
-    alarms = 0
-    for _ in range(2):
-        measured = levels(rng)
-        verdict = run(measured, names=names, errors=[of_the_block(measured)]).verdict
-        alarms += verdict != "adequate"
-    assert alarms == 0
 
 
 def of_the_block(measured) -> ModelError:

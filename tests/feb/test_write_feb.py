@@ -294,24 +294,25 @@ def test_what_febio_cannot_take_is_refused(
 # ---------------------------------------------------------------- against the stored models of FEBio
 
 
-OTHER_NUMBERS = {"punch-tet10", "punch-tet10-deep", "punch-tet10-fk10", "punch-tet10-penalty-x4"}
+OTHER_NUMBERS = {
+    "punch-tet10", "punch-tet10-deep", "punch-tet10-fk10", "punch-tet10-penalty-x4", "punch-tet4-fk10",
+    "punch-tet4-penalty-x10", "ah1-nu0.45", "ah2-nu0.45", "tet10.feb.gz",
+}  # fmt: skip
 
 
 @pytest.mark.slow
 def test_every_golden_model_comes_back_exactly(golden: Path, tmp_path: Path) -> None:
     """All but large ones that differ from another by numbers alone."""
-    files = [each for each in sorted(golden.rglob("*.feb*")) if each.parent.name not in OTHER_NUMBERS]
-    assert len(files) > 50
+    files = [
+        each
+        for each in sorted(golden.rglob("*.feb*"))
+        if OTHER_NUMBERS.isdisjoint((each.parent.name, each.name))
+    ]
+    assert len(files) > 45
     for path in files:
         model = read_feb(path)
         assert {domain.block for domain in model.domains} == {each.name for each in model.mesh.solid_blocks}
         assert differences(model, round_trip(model, tmp_path), path.parent.name) == []
-
-
-@pytest.mark.parametrize("name", ["cube-law-m2-fk100", "effect-prestrain", "effect-ut4", "punch-tet4-force"])
-def test_a_golden_model_comes_back_exactly(golden: Path, tmp_path: Path, name: str) -> None:
-    model = read_feb(next((golden / name).glob("model.feb*")))
-    assert differences(model, round_trip(model, tmp_path)) == []
 
 
 def leaves(element: etree._Element) -> list[tuple[str, object]]:

@@ -36,6 +36,13 @@ def tube(
     return Triangles(np.vstack(points), np.array(faces, np.int64))
 
 
+def cylinder(
+    radius: float, low: float, high: float, centre: tuple[float, float] = (0.0, 0.0), *, around: int = 32
+) -> Triangles:
+    """Along z, closed by lids."""
+    return tube((*centre, low), (*centre, high), (radius, radius), around=around, along=24)
+
+
 def ball(centre: tuple[float, float, float], radius: float, *, n: int = 24) -> Triangles:
     """A sphere of 2 n (2 n - 2) triangles."""
     t = np.linspace(0, np.pi, n + 1)

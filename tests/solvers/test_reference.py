@@ -39,6 +39,17 @@ def run(golden: Path, folder: str, tmp_path: Path):
     return solver.read(feb)
 
 
+def begun(golden: Path, folder: str, tmp_path: Path, *, steps: int, of: int):
+    """The first load steps of a golden model, as `run` does all."""
+    text = (golden / folder / "model.feb").read_text()
+    assert text.count(f"<time_steps>{of}<") == 1
+    feb = tmp_path / "model.feb"
+    feb.write_text(text.replace(f"<time_steps>{of}<", f"<time_steps>{steps}<"))
+    solver = ReferenceSolver(threads=1)
+    solver.run(feb, progress=SILENT)
+    return solver.read(feb)
+
+
 @pytest.mark.parametrize("folder", CUBES)
 def test_cubes_agree_with_febio(golden: Path, tmp_path: Path, folder: str) -> None:
     """Displacements, reactions, stresses, F and energy of every node and cell."""
@@ -139,11 +150,9 @@ def test_punch_on_a_bonded_layer_is_that_of_hayes(
 
 
 SETS = {
-    1: (5.445, 2.0, 535.43),
     2: (5.445, 1.389, 616.151),
     3: (10.488, 2.0, 6723.57),
     4: (10.488, 1.044, 6903.8),
-    5: (7.841, 2.0, 1370.95),
     6: (7.841, 3.245, 1147.59),
 }  # c (kPa), m, kappa (kPa)
 
@@ -151,17 +160,17 @@ SETS = {
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("element", "number", "tolerance"),
-    [*(("tet4", k, 1e-4) for k in (2, 3, 4, 5, 6)), ("tet10", 3, 1e-3)],
+    [*(("tet4", k, 1e-4) for k in (2, 4, 6)), ("tet10", 3, 1e-3)],
 )
 def test_limb_agrees_with_febio_at_every_level(
     golden: Path, element: str, number: int, tolerance: float
 ) -> None:
     """tet4 against full Newton; tet10 against FEBio's BFGS, whose own tolerance shows at the first levels:
-    the first four of its ten, as the last ones cost ten times as much."""
+    the first three of its ten, as the last ones cost ten times as much."""
     c, m, kappa = SETS[number]
     model = read_feb(golden / "limb-posterior" / f"{element}.feb.gz")
     model = model.with_material("tissue", ogden_type(c=1e-3 * c, f_kappa=kappa / c, m=m))
-    n_levels = 10 if element == "tet4" else 4
+    n_levels = 10 if element == "tet4" else 3
     (step,) = model.steps
     first = replace(step, must_points=step.must_points[:n_levels], n_steps=step.n_steps * n_levels // 10)
     model = replace(model, steps=(first,))
@@ -209,12 +218,8 @@ def test_sheared_fibres_agree_with_febio(golden: Path, tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_viscoelastic_relaxation_agrees_with_febio(golden: Path, tmp_path: Path) -> None:
     """The ramp and the first two seconds of the hold."""
-    source = golden / "effect-viscoelastic" / "model.feb"
-    text = source.read_text().replace("<time_steps>84</time_steps>", "<time_steps>12</time_steps>")
-    (tmp_path / "model.feb").write_text(text)
-    solver = ReferenceSolver(threads=1)
-    solver.run(tmp_path / "model.feb", progress=SILENT)
-    _, mine, theirs = forces(golden, "effect-viscoelastic", solver.read(tmp_path / "model.feb"))
+    ours = begun(golden, "effect-viscoelastic", tmp_path, steps=12, of=84)
+    _, mine, theirs = forces(golden, "effect-viscoelastic", ours)
     assert len(mine) == 12
     np.testing.assert_allclose(mine, theirs, rtol=3e-3)
 
@@ -223,11 +228,8 @@ def test_viscoelastic_relaxation_agrees_with_febio(golden: Path, tmp_path: Path)
 def test_friction_agrees_with_febio_step_by_step(golden: Path, tmp_path: Path) -> None:
     """The first four steps. FEBio takes a step's anchors after its first iteration, not before: its skin
     sticks a little less, which is 1 % of the force at most."""
-    text = (golden / "effect-friction" / "model.feb").read_text()
-    (tmp_path / "model.feb").write_text(text.replace("<time_steps>10<", "<time_steps>4<"))
-    solver = ReferenceSolver(threads=1)
-    solver.run(tmp_path / "model.feb", progress=SILENT)
-    _, mine, theirs = forces(golden, "effect-friction", solver.read(tmp_path / "model.feb"))
+    ours = begun(golden, "effect-friction", tmp_path, steps=4, of=10)
+    _, mine, theirs = forces(golden, "effect-friction", ours)
     assert len(mine) == 4
     np.testing.assert_allclose(mine, theirs, rtol=0.01)
 

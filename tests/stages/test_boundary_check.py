@@ -129,7 +129,7 @@ def test_a_limb_that_gives_way_beyond_the_cut_lies_within_the_intervals(tmp_path
     forces = np.sqrt(solved(model) * solved(CUT_FREE.of(model)))
     out = tmp_path / "out"
     case = block.make_case(tmp_path / "case", out, DEPTHS, forces, c=0.008, model=cut_from_a_limb())
-    options = FitOptions(c_deviation=0.002, gain_deviation=0.002, max_interval_solves=6, contact_check=False)
+    options = FitOptions(c_deviation=0.002, gain_deviation=0.002, max_interval_solves=3, contact_check=False)
     result = fit(case, out=out, solver="reference", options=options)[0]
     (low, high), (_, highest) = (result.data[key]["f_kappa"] for key in ("interval_95_noise", "interval_95"))
     assert low < result.data["f_kappa"] < high < 40.0 < highest
@@ -147,7 +147,7 @@ def test_a_joint_fit_counts_its_boundaries_as_an_uncertain_gain_of_the_force(tmp
     case = block.make_case(
         tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=0.008, speeds=speeds, model=cut_from_a_limb()
     )
-    joint, widths = JointOptions(max_solves=4, gain_deviation=0.01), []
+    joint, widths = JointOptions(max_solves=2, gain_deviation=0.01), []
     for checked in (False, True):
         options = FitOptions(contact_check=False, boundary_check=checked)
         data = fit_joint(case, out=tmp_path / "out", joint=joint, options=options).data

@@ -172,7 +172,7 @@ def case_and_out(measured, tmp_path_factory) -> tuple[Case, Path]:
 @pytest.fixture(scope="module")
 def both(case_and_out) -> StageResult:
     case, out = case_and_out
-    return fit_joint(case, out=out, joint=JointOptions(law="fibres", max_solves=6), options=OPTIONS)
+    return fit_joint(case, out=out, joint=JointOptions(law="fibres", max_solves=3), options=OPTIONS)
 
 
 @pytest.mark.slow
@@ -224,7 +224,7 @@ def test_one_orientation_is_told_what_it_leaves_open(case_and_out, both):
     """After both, because it replaces their result: the interval of fibre_shear is wider by far."""
     case, out = case_and_out
     alone = fit_joint(
-        case, out=out, sites=["across"], joint=JointOptions(law="fibres", max_solves=2), options=OPTIONS
+        case, out=out, sites=["across"], joint=JointOptions(law="fibres", max_solves=1), options=OPTIONS
     )
     assert any("all records are across the fibres" in each for each in alone.warnings)
     assert any("with the probe turned by 90 degrees" in each for each in alone.warnings)

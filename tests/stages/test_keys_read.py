@@ -24,6 +24,7 @@ from limbcli.stages.mesh import mesh
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment
+from tests.meshing.stump import quickly_meshed
 from tests.stages import chain_case, changed_keys
 
 pytestmark = pytest.mark.slow
@@ -50,6 +51,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch:
         chain_case.imaged(patch)
         prepared_only(patch)
+        quickly_meshed(patch)
         for stage, (work, options) in STAGES.items():
             work(case, out=root / "out", **options)
             if stage == "limb":

@@ -21,7 +21,7 @@ from tests.stages.test_mesh import CASE, prism
 
 STAGES = (
     ("segment", None, ()),
-    ("mesh", "p1", ("--site", "p1", "--size-mm", "5", "--far-size-mm", "12")),
+    ("mesh", "p1", ("--site", "p1", "--size-mm", "7", "--far-size-mm", "14")),
     ("build-feb", "p1", ("--site", "p1")),
     ("run", "p1", ("--site", "p1", "--solver", "reference")),
 )

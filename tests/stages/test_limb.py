@@ -16,7 +16,6 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.fem.analysis import Analysis
-from limbcli.meshing import whole_limb
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.meshing.whole_limb import LimbMesh, limb_mesh
 from limbcli.model import Curve, ElementMap, Step, Support
@@ -29,7 +28,7 @@ from limbcli.stages.limb_field.site_results import LimbReadings
 from limbcli.stages.segment import segment
 from limbcli.stiffness_field import Interval, SiteReading, limb_coordinates, stiffness_field
 from limbcli.surface_formats.aop import read_aop_limb
-from tests.meshing.stump import coarse_distances, stump
+from tests.meshing.stump import quickly_meshed, stump
 
 pytestmark = pytest.mark.slow
 OPTIONS = LimbOptions(nodes=5_000, c_kpa=8.0)
@@ -69,7 +68,7 @@ def write_case(folder: Path, surfaces=None, more: str = "") -> Case:
 @pytest.fixture(scope="module", autouse=True)
 def quick():
     with pytest.MonkeyPatch.context() as patch:
-        coarse_distances(patch)
+        quickly_meshed(patch)
         yield
 
 
@@ -281,13 +280,12 @@ def test_the_mean_limb_of_openlimb(shared: Path, tmp_path: Path):
     case = Case.open_images(tmp_path / "case")
     segment(case, out=tmp_path / "out")
     result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, nodes=8_000))
-    assert result.data["n_nodes"] == pytest.approx(8_000, rel=0.25)
     assert not result.data["missing_parts"]
     assert result.data["quality"]["min_angle_deg"] > 4
     assert result.data["volume_cm3"] == pytest.approx(result.data["expected_volume_cm3"], rel=0.01)
 
 
-def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path):
     """Cut at the ankle and in the thigh: refused, and meshed with its distal cut if asked."""
     folder = shared / "data" / "visible-human-leg"
     if not folder.is_dir():
@@ -298,7 +296,6 @@ def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path, monkeypatch:
     segment(case, out=tmp_path / "out")
     with pytest.raises(CaseError, match="cut at both ends"):
         limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0))
-    monkeypatch.setattr(whole_limb, "_ATTEMPTS", 1)  # however many nodes it has
-    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, distal_cut=True, nodes=15_000))
+    result = limb(case, out=tmp_path / "out", options=LimbOptions(c_kpa=8.0, distal_cut=True, nodes=10_000))
     assert "distal_end" in result.data["missing_parts"]
     assert {"patch_patellar_tendon", "patch_popliteal", "distal_cut"} <= set(result.data["surfaces"])

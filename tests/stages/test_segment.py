@@ -7,6 +7,7 @@ import re
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import nibabel as nib
 import numpy as np
@@ -14,6 +15,7 @@ import pytest
 
 from limbcli.case import Case, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.errors import CaseError
+from limbcli.imaging.segmentation import Segmentation, segment_limb
 from limbcli.imaging.surface import read_surface, write_surface
 from limbcli.meshing.surfaces import Triangles
 from limbcli.phantom.dicom_series import write_series
@@ -22,6 +24,7 @@ from limbcli.phantom.subject import make_subject
 from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.segment import edited_labels, segment
+from tests.meshing.conftest import tube
 
 pytestmark = pytest.mark.slow
 
@@ -54,11 +57,38 @@ def series(tmp_path_factory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def segmented(series, tmp_path_factory):
+def bodies(tmp_path_factory) -> SimpleNamespace:
+    """Skin and bones as a case may give them: few triangles, far from the scanner's middle."""
+    folder = tmp_path_factory.mktemp("bodies")
+    made = {
+        "skin": tube((0, 0, -500), (0, 0, -320), (38, 46)),
+        "bone_tibia": tube((6, -12, -490), (6, -10, -330), (9, 12)),
+        "bone_fibula": tube((-16, 6, -485), (-16, 6, -335), (4.5, 5), around=24),
+    }
+    for name, each in made.items():
+        write_surface(folder / f"{name}.ply", each)
+    volumes = {name: each.volume / 1e3 for name, each in made.items()}
+    return SimpleNamespace(path=lambda name: folder / f"{name}.ply", volume_cm3=volumes)
+
+
+@pytest.fixture(scope="module")
+def found_in_series() -> list[Segmentation]:
+    """What was found in the images of `segmented`, for tests that ask no more of them."""
+    return []
+
+
+@pytest.fixture(scope="module")
+def segmented(series, found_in_series, tmp_path_factory):
+    def kept(*given, **options):
+        found_in_series.append(segment_limb(*given, **options))
+        return found_in_series[-1]
+
     out = tmp_path_factory.mktemp("out")
     events = []
     progress = Progress(lambda kind, facts: events.append((kind, facts)))
-    result = segment(case_with(series, mri=series), out=out, progress=progress)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("limbcli.stages.segment.segment_limb", kept)
+        result = segment(case_with(series, mri=series), out=out, progress=progress)
     return out, result, events
 
 
@@ -160,90 +190,84 @@ def test_sites_get_the_thickness_of_their_fat(from_labels):
     assert any("fat" in line for line in from_labels.summary)
 
 
-def test_surfaces_of_the_case_reach_the_same_files(segmented, tmp_path):
-    _, first, _ = segmented
+def test_surfaces_of_the_case_reach_the_same_files(bodies, tmp_path):
     case = case_with(
         tmp_path,
-        skin=first.path("skin"),
-        bones=(first.path("bone_fibula"), first.path("bone_tibia")),
+        skin=bodies.path("skin"),
+        bones=(bodies.path("bone_fibula"), bodies.path("bone_tibia")),
     )
     result = segment(case, out=tmp_path)
     assert {"skin", "bone_tibia", "bone_fibula"} <= set(result.files)
     assert read_surface(result.path("bone_tibia")).volume == pytest.approx(
-        read_surface(first.path("bone_tibia")).volume, rel=1e-4
+        read_surface(bodies.path("bone_tibia")).volume, rel=1e-4
     )
 
 
-def test_a_bone_in_another_frame_and_unit_lies_where_it_was_and_it_is_said(segmented, tmp_path):
+def test_a_bone_in_another_frame_and_unit_lies_where_it_was_and_it_is_said(bodies, tmp_path):
     """A tibia as 3D Slicer writes it in RAS, and one in metres as 3-matic writes it, beside a skin in LPS."""
-    _, first, _ = segmented
-    tibia = read_surface(first.path("bone_tibia"))
+    tibia = read_surface(bodies.path("bone_tibia"))
     rows = [f"v {x:.6f} {y:.6f} {z:.6f}" for x, y, z in tibia.points * [-1e-3, -1e-3, 1e-3]]
     rows += [f"f {a} {b} {c}" for a, b, c in tibia.faces + 1]
     head = "# 3D Slicer output. SPACE=RAS\n# where 1 unit = 1000.000000 mm\n"
     (tmp_path / "tibia.obj").write_text(head + "\n".join(rows))
-    case = case_with(tmp_path, skin=first.path("skin"), bones=(tmp_path / "tibia.obj",))
+    case = case_with(tmp_path, skin=bodies.path("skin"), bones=(tmp_path / "tibia.obj",))
     result = segment(case, out=tmp_path)
     found = read_surface(result.path("bone_tibia"))
     np.testing.assert_allclose(found.points.mean(axis=0), tibia.points.mean(axis=0), atol=0.01)
     assert found.volume == pytest.approx(tibia.volume, rel=1e-3)
     assert any("tibia.obj states the frame RAS: it was turned" in line for line in result.summary)
     assert not any("states no" in line for line in result.warnings)  # our own PLY says where it lies
-    skin = first.path("skin").read_bytes().replace(b"SPACE=LPS", b"in a room").replace(b"units mm", b"a limb")
-    (tmp_path / "skin.ply").write_bytes(skin)
+    skin = bodies.path("skin").read_bytes().replace(b"SPACE=LPS", b"in a room")
+    (tmp_path / "skin.ply").write_bytes(skin.replace(b"units mm", b"a limb"))
     result = segment(case_with(tmp_path, skin=tmp_path / "skin.ply", bones=case.imaging.bones), out=tmp_path)
     assert any("skin.ply states no frame" in line for line in result.warnings)
 
 
-def test_one_file_with_all_bodies_is_taken_apart(segmented, tmp_path):
-    _, first, _ = segmented
-    parts = [read_surface(first.path(name)) for name in ("bone_tibia", "skin", "bone_fibula")]
+def test_one_file_with_all_bodies_is_taken_apart(bodies, tmp_path):
+    parts = [read_surface(bodies.path(name)) for name in ("bone_tibia", "skin", "bone_fibula")]
     starts = np.cumsum([0, *(len(each.points) for each in parts)])
     triangles = [each.faces + start for each, start in zip(parts, starts[:-1], strict=True)]
     whole = Triangles(np.vstack([each.points for each in parts]), np.vstack(triangles))
     write_surface(tmp_path / "limb.ply", whole)
     result = segment(case_with(tmp_path, skin=tmp_path / "limb.ply"), out=tmp_path / "out")
     assert "3 bodies" in result.summary[0]
-    found, wanted = result.data["volume_cm3"], first.data["volume_cm3"]
+    found, wanted = result.data["volume_cm3"], bodies.volume_cm3
     assert found["skin"] == pytest.approx(wanted["skin"], rel=1e-3)
     assert found["bone_tibia"] == pytest.approx(wanted["bone_tibia"], rel=1e-3)
     assert found["bone_fibula"] == pytest.approx(wanted["bone_fibula"], rel=1e-3)
     with pytest.raises(CaseError, match="only one body"):
-        segment(case_with(tmp_path, skin=first.path("skin")), out=tmp_path / "alone")
+        segment(case_with(tmp_path, skin=bodies.path("skin")), out=tmp_path / "alone")
 
 
 @pytest.mark.parametrize("sense", [1, -1])
-def test_a_bone_with_a_wall_round_its_marrow_is_whole(segmented, tmp_path, sense):
-    _, first, _ = segmented
-    tibia = read_surface(first.path("bone_tibia"))
+def test_a_bone_with_a_wall_round_its_marrow_is_whole(bodies, tmp_path, sense):
+    tibia = read_surface(bodies.path("bone_tibia"))
     middle = tibia.points.mean(axis=0)
     inner = middle + 0.5 * (tibia.points - middle)
     triangles = np.vstack([tibia.faces, len(tibia.points) + tibia.faces[:, ::sense]])
     write_surface(tmp_path / "tibia.ply", Triangles(np.vstack([tibia.points, inner]), triangles))
     result = segment(
-        case_with(tmp_path, skin=first.path("skin"), bones=(tmp_path / "tibia.ply",)), out=tmp_path
+        case_with(tmp_path, skin=bodies.path("skin"), bones=(tmp_path / "tibia.ply",)), out=tmp_path
     )
     assert result.data["volume_cm3"]["bone_tibia"] == pytest.approx(tibia.volume / 1e3, rel=1e-4)
     assert read_surface(result.path("bone_tibia")).volume == pytest.approx(tibia.volume, rel=1e-4)
 
 
-def test_surfaces_turned_inside_out_are_turned_and_said_so(segmented, tmp_path):
-    _, first, _ = segmented
-    skin = read_surface(first.path("skin"))
+def test_surfaces_turned_inside_out_are_turned_and_said_so(bodies, tmp_path):
+    skin = read_surface(bodies.path("skin"))
     write_surface(tmp_path / "skin.ply", Triangles(skin.points, skin.faces[:, ::-1].copy()))
-    case = case_with(tmp_path, skin=tmp_path / "skin.ply", bones=(first.path("bone_tibia"),))
+    case = case_with(tmp_path, skin=tmp_path / "skin.ply", bones=(bodies.path("bone_tibia"),))
     result = segment(case, out=tmp_path)
     assert read_surface(result.path("skin")).volume > 0
     assert any("inward" in line for line in result.warnings)
 
 
-def test_an_open_skin_has_its_volume_and_its_normals_wherever_it_lies(segmented, tmp_path):
-    _, first, _ = segmented
-    skin, tibia = (read_surface(first.path(name)) for name in ("skin", "bone_tibia"))
+def test_an_open_skin_has_its_volume_and_its_normals_wherever_it_lies(bodies, tmp_path):
+    skin, tibia = (read_surface(bodies.path(name)) for name in ("skin", "bone_tibia"))
     height = skin.points[skin.faces].mean(axis=1)[:, 2]
     opened = skin.faces[height < np.quantile(height, 0.9)]
     volumes = []
-    for number, shift in enumerate(np.diag([0.0, 0.0, 900.0])[[0, 2]]):  # the phantom lies at -418 mm
+    for number, shift in enumerate(np.diag([0.0, 0.0, 900.0])[[0, 2]]):  # they lie at -410 mm
         for name, surface, triangles in (("skin", skin, opened), ("tibia", tibia, tibia.faces)):
             write_surface(tmp_path / f"{name}.ply", Triangles(surface.points + shift, triangles))
         case = case_with(tmp_path, skin=tmp_path / "skin.ply", bones=(tmp_path / "tibia.ply",))
@@ -251,12 +275,11 @@ def test_an_open_skin_has_its_volume_and_its_normals_wherever_it_lies(segmented,
         assert not any("inward" in line for line in result.warnings)
         volumes.append(result.data["volume_cm3"]["skin"])
     assert volumes[0] == pytest.approx(volumes[1], rel=1e-4)
-    assert 0.75 < volumes[0] / first.data["volume_cm3"]["skin"] < 1.0
+    assert 0.75 < volumes[0] / bodies.volume_cm3["skin"] < 1.0
 
 
-def test_surfaces_in_metres_are_refused(segmented, tmp_path):
-    _, first, _ = segmented
-    skin = read_surface(first.path("skin"))
+def test_surfaces_in_metres_are_refused(bodies, tmp_path):
+    skin = read_surface(bodies.path("skin"))
     write_surface(tmp_path / "skin.ply", Triangles(skin.points / 1e3, skin.faces))
     with pytest.raises(CaseError, match="mm across"):
         segment(case_with(tmp_path, skin=tmp_path / "skin.ply"), out=tmp_path)
@@ -291,7 +314,9 @@ def bone_voxels(result) -> int:
     return int((np.asarray(nib.load(result.path("labels")).dataobj) == 2).sum())
 
 
-def test_an_edited_label_map_wins_until_a_fresh_start(segmented, series, tmp_path):
+def test_an_edited_label_map_wins_until_a_fresh_start(
+    segmented, found_in_series, series, tmp_path, monkeypatch
+):
     _, first, _ = segmented
     out = copied(segmented, tmp_path)
     case = case_with(tmp_path, mri=series)
@@ -301,6 +326,7 @@ def test_an_edited_label_map_wins_until_a_fresh_start(segmented, series, tmp_pat
     assert bone_voxels(result) == bone_voxels(first) - changed
     assert any("edited by hand" in line for line in (*result.summary, *result.warnings))
     assert edited_labels(out) == result.path("labels")  # it wins again when run again
+    monkeypatch.setattr("limbcli.stages.segment.segment_limb", lambda *_, **__: found_in_series[0])
     result = segment(case, out=out, fresh=True)
     assert result.data["source"] == "mri"
     assert bone_voxels(result) == bone_voxels(first)

@@ -4,35 +4,17 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
 from limbcli.imaging.surface import read_surface, write_surface
 from limbcli.meshing.surfaces import Triangles, bodies, join
+from limbcli.results import StageResult
 from limbcli.stages.check_geometry import geometry_findings
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.surfaces import read_body
+from tests.meshing.conftest import cylinder
 from tests.stages.test_segment import case_with
-
-
-def cylinder(radius: float, low: float, high: float, centre: tuple[float, float] = (0.0, 0.0)) -> Triangles:
-    """A closed cylinder along z."""
-    n, rows = 32, 24
-    turn = 2 * np.pi * np.arange(n) / n
-    ring = np.column_stack([radius * np.cos(turn) + centre[0], radius * np.sin(turn) + centre[1]])
-    heights = np.linspace(low, high, rows)
-    points = [np.column_stack([ring, np.full(n, z)]) for z in heights]
-    points += [np.array([[*centre, low], [*centre, high]])]
-    faces = []
-    for k in range(rows - 1):
-        a, b = k * n + np.arange(n), k * n + np.roll(np.arange(n), -1)
-        faces += [np.column_stack([a, b, b + n]), np.column_stack([a, b + n, a + n])]
-    first, last = rows * n, rows * n + 1
-    around, ahead = np.arange(n), np.roll(np.arange(n), -1)
-    faces += [np.column_stack([np.full(n, first), ahead, around])]
-    faces += [np.column_stack([np.full(n, last), around + (rows - 1) * n, ahead + (rows - 1) * n])]
-    return Triangles(np.concatenate(points), np.concatenate(faces))
 
 
 def written(path: Path, *bodies: Triangles) -> Path:
@@ -52,11 +34,18 @@ def case_of(folder: Path, *more: Triangles):
     return case_with(folder, skin=written(folder / "skin.ply", LIMB, *more), bones=tuple(files))
 
 
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory) -> StageResult:
+    folder = tmp_path_factory.mktemp("alone")
+    return segment(case_of(folder), out=folder / "out")
+
+
 @pytest.mark.parametrize("size", [3.0, 12.5, 40.0])
-def test_a_closed_fragment_behind_the_skin_is_left_out_and_named(tmp_path: Path, size: float):
+def test_a_closed_fragment_behind_the_skin_is_left_out_and_named(
+    alone: StageResult, tmp_path: Path, size: float
+):
     case = case_of(tmp_path, cylinder(size, -size, size, (0.0, 70.0 + size)))
     result = segment(case, out=tmp_path / "out")
-    alone = segment(case_of(tmp_path), out=tmp_path / "alone")
     skin, wanted = (read_surface(each.path("skin")) for each in (result, alone))
     assert len(skin.faces) == len(wanted.faces)
     assert skin.volume == pytest.approx(wanted.volume)

@@ -28,6 +28,7 @@ from limbcli.stages.in_socket.patch_table import WHOLE
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.segment import segment
 from limbcli.stages.socket import SocketOptions, socket
+from tests.meshing.stump import quickly_meshed, stump
 from tests.stages.test_limb import write_case
 
 SOCKET = "[socket]\nloads_n = [60.0]\nall_mm = 0.5\nbrim_mm = 110.0\nfriction = 0.0\n"
@@ -40,7 +41,9 @@ def limb_made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("socket")
     case = write_case(folder / "case", more=SOCKET)
     segment(case, out=folder / "out")
-    limb(case, out=folder / "out", options=LimbOptions(element="tet4", nodes=3_000, c_kpa=16.0))
+    with pytest.MonkeyPatch.context() as patch:
+        quickly_meshed(patch)
+        limb(case, out=folder / "out", options=LimbOptions(element="tet4", nodes=3_000, c_kpa=16.0))
     return case, folder / "out"
 
 
@@ -68,8 +71,6 @@ def together(limb_made, surface: Triangles, path: Path, **more):
 
 def sleeve(*, grow: float = 0.0, top: float = 110.0, bottom: float = 0.0) -> Triangles:
     """The stump of the tests' limb, larger by `grow`, between two heights (LPS z)."""
-    from tests.meshing.stump import stump
-
     skin = stump()["skin"]
     out = skin.points * [1 + grow / 40.0, 1 + grow / 40.0, 1.0] - [0.0, 0.0, grow]
     z = skin.centroids[:, 2]

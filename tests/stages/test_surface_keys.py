@@ -14,6 +14,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.stages.check import check
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.surfaces import read_surfaces
+from tests.meshing.conftest import cylinder
 
 CASE = """
 format = 1
@@ -39,24 +40,8 @@ def case_folder(folder: Path, imaging: str, position: str = "[0.0, -40.0, 0.0]")
     return folder
 
 
-def tube(x: float, y: float, radius: float, low: float, high: float) -> Triangles:
-    """A round cylinder along z (mm), closed by lids, with outward normals."""
-    n, heights = 24, np.linspace(low, high, 25)
-    angles = 2 * np.pi * np.arange(n) / n
-    ring = np.column_stack([x + radius * np.cos(angles), y + radius * np.sin(angles)])
-    points = np.vstack([np.column_stack([ring, np.full(n, z)]) for z in heights])
-    points = np.vstack([points, [[x, y, low], [x, y, high]]])
-    faces, last = [], len(heights) - 1
-    for k in range(n):
-        j = (k + 1) % n
-        for row in range(last):
-            a, b, c, d = row * n + k, row * n + j, (row + 1) * n + k, (row + 1) * n + j
-            faces += [[a, b, d], [a, d, c]]
-        faces += [[len(points) - 2, j, k], [len(points) - 1, last * n + k, last * n + j]]
-    return Triangles(points, np.array(faces))
-
-
-SKIN, TIBIA, FIBULA = tube(0, 0, 40, -100, 100), tube(-8, -10, 12, -90, 90), tube(16, 8, 6, -90, 90)
+SKIN = cylinder(40, -100, 100, around=24)
+TIBIA, FIBULA = cylinder(12, -90, 90, (-8, -10), around=24), cylinder(6, -90, 90, (16, 8), around=24)
 
 
 def write_bodies(path: Path, *surfaces: Triangles, factor: float = 1.0, header: str = "") -> None:
