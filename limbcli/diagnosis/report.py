@@ -16,6 +16,7 @@ from limbcli.diagnosis.data.noise import COMPRESSIBILITY
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.check import Check
+from limbcli.diagnosis.explanations.conclusions.estimates import PRIOR, TISSUE
 from limbcli.diagnosis.explanations.conclusions.sentences import recommended
 from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnosis.explanations.model.noise import CommonError
@@ -132,8 +133,12 @@ def _stage(stage: Shrink) -> dict[str, Any]:
         "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
         "values": dict(estimates.values),
         "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
-        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open),
-        "prior": estimates.prior,
+        "open_ends": {name: list(ends) for name, ends in estimates.open.items()},
+        "c_and_m_over": estimates.over, "prior": PRIOR,
+        "not_told_by_the_data": [
+            f"{letter} {side}" for letter, name in TISSUE.items()
+            for side, out in zip(("below", "above"), estimates.open.get(name, ()), strict=False) if out
+        ],
     }  # fmt: skip
 
 

@@ -75,14 +75,6 @@ class Parameter:
             distance if self.saturates is None else -self.saturates * math.expm1(-distance / self.saturates)
         )
 
-    def from_proportional(self, x: float) -> float:
-        """Inverse of `proportional`; infinite where no value has so large an effect."""
-        if self.saturates is None:
-            return self.null + x
-        if x >= self.saturates:
-            return math.inf
-        return self.null - self.saturates * math.log1p(-x / self.saturates)
-
     @property
     def sign(self) -> int:
         """+1 or -1 where the null value is a bound, so the effect has one direction only; otherwise 0."""

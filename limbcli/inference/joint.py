@@ -16,35 +16,13 @@ import numpy as np
 from limbcli.errors import FitError
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.likelihood import C_STEP_FACTOR, Likelihood, Place, SiteBlock
+from limbcli.inference.likelihood import Likelihood, Place, SiteBlock
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import best_of
-from limbcli.inference.site_depth import (
-    RestSpeed,
-    SiteMeasurement,
-    SitePrediction,
-    invert,
-    predict_site,
-    rest_speed_by_c,
-)
+from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, rest_speed_by_c
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-
-__all__ = [
-    "C_SPAN",
-    "C_STEP_FACTOR",
-    "JointProblem",
-    "JointTask",
-    "SiteMeasurement",
-    "SitePrediction",
-    "gain_of_mesh",
-    "held_out_error",
-    "invert",
-    "joint_fit",
-    "predict_site",
-    "start_c",
-]
 
 C_SPAN = 10.0  # factor from the start value of c to either of its bounds
 _LEAST = 1e-4  # lower limit of the standard deviation of the prior on ln c

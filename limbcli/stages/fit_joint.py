@@ -40,9 +40,9 @@ from limbcli.fitting.joint_result import law_row, write_comparison, write_joint
 from limbcli.fitting.laws import LAWS, FitLaw, first_shapes, law_named
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, joint_fit
+from limbcli.inference.joint import JointProblem, JointTask, joint_fit
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.site_depth import RestSpeed
+from limbcli.inference.site_depth import RestSpeed, SiteMeasurement
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.speed_noise import mean_speed_deviation

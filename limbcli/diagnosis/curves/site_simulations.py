@@ -211,7 +211,7 @@ class SiteSimulations:
         self.solver.keep(key, ingredients, solve.result.levels)
         found = SolvedCurves(curves, solve.work, len(self.depths) if is_enough else n_reached)
         self._noted(found, m, ingredients)
-        self.solver.memo.keep_curves(key, found)
+        self.solver.memo.write(key, found.arrays())
         return curves
 
     def _noted(self, found: SolvedCurves, m: float, ingredients: Ingredients) -> Curves:

@@ -42,9 +42,6 @@ class SolveMemo(SolveFolder):
         found = self.read(key, SolvedCurves.of)
         return found if found is not None and len(found.curves.depth) == n_depths + 1 else None
 
-    def keep_curves(self, key: str, solved: SolvedCurves) -> None:
-        self.write(key, solved.arrays())
-
     def displacements(self, key: str) -> Array | None:
         """Displacements (n_depths, n_nodes, 3) of the tissue's nodes in mm, stored in single precision."""
         return self.read(f"{key}-nodes", lambda stored: np.asarray(stored["values"], dtype=float))
