@@ -9,11 +9,10 @@ from scipy import stats
 from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M, estimates, sizes_95
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted
+from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
-from limbcli.diagnosis.explanations.model.priors import Prior, Priors
 from limbcli.diagnosis.forward_model.predictions import Slot
-from limbcli.diagnosis.sizes import reported_sizes
+from limbcli.diagnosis.report import reported_sizes
 from limbcli.effects import EFFECTS
 from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy

@@ -17,8 +17,7 @@ import numpy as np
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, where_solved
 from limbcli.diagnosis.curves.node_table import NodeTable
 from limbcli.diagnosis.curves.site_models import SiteModels, fingerprint
-from limbcli.diagnosis.curves.site_solver import SiteSolver
-from limbcli.diagnosis.curves.solve_memo import SolvedCurves
+from limbcli.diagnosis.curves.site_solver import SiteSolver, SolvedCurves
 from limbcli.diagnosis.data.layers import BorderLines
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.curves import Curves, continued

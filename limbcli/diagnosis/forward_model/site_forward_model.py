@@ -21,10 +21,10 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Explanation,
     Facts,
     Fitted,
+    Prior,
     Proposal,
     Scalable,
 )
-from limbcli.diagnosis.explanations.model.priors import Prior
 from limbcli.diagnosis.forward_model.fits import Fits
 from limbcli.diagnosis.forward_model.measurement_menu import menu
 from limbcli.diagnosis.forward_model.predictions import NOTHING, Predictions, Slot, held_points
