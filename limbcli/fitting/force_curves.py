@@ -17,9 +17,9 @@ import numpy as np
 from limbcli.config import available_cores, shares
 from limbcli.errors import SolveError
 from limbcli.files.temporary_folders import scratch_folder
-from limbcli.fitting.boundary_check import ChangedBoundary
 from limbcli.fitting.kept_solves import KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
+from limbcli.fitting.model_checks import ChangedBoundary
 from limbcli.fitting.solve_again import forces_again
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction

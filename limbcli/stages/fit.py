@@ -20,15 +20,6 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.fitting.boundary_check import (
-    ChangedBoundary,
-    ChangedForces,
-    boundary_modes,
-    changed_forces,
-    moved_parameters,
-    write_boundary_check,
-)
-from limbcli.fitting.contact_check import write_contact_check
 from limbcli.fitting.cycles import through_cycle, write_cycle
 from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
@@ -36,6 +27,15 @@ from limbcli.fitting.geometry import site_geometry_uncertainty
 from limbcli.fitting.geometry_result import write_geometry
 from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.fitting.layers import write_layers
+from limbcli.fitting.model_checks import (
+    ChangedBoundary,
+    ChangedForces,
+    boundary_modes,
+    changed_forces,
+    moved_parameters,
+    write_boundary_check,
+    write_contact_check,
+)
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
