@@ -240,7 +240,7 @@ class LawCurve:
             np.outer(result.force_gradient[(TISSUE, name)], slope) for name, slope in searched.items()
         )
         values, slopes = [points.forces], [np.asarray(by_shape)]
-        rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
+        rows = result.rows
         if self._speeds:
             values += [mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)]
             slopes += [np.full((len(rows), len(theta)), np.nan)]

@@ -15,7 +15,7 @@ from limbcli.diagnosis.curves.site_models import SiteModels
 from limbcli.effects.curves import Curves
 from limbcli.effects.ingredients import Ingredients, has_fitted_size, is_numerical, is_of_law_alone, names_of
 from limbcli.errors import SolveError
-from limbcli.model import Array, IntArray, LimbModel
+from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.solvers.session import ReferenceSession, SessionResult
@@ -34,12 +34,6 @@ class Solve:
     model: LimbModel
     result: SessionResult
     work: int
-
-    @property
-    def rows(self) -> IntArray:
-        """Numbers of the levels (n,) among the converged times."""
-        times, levels = self.result.simulation.times, self.result.must_points.times
-        return np.asarray(np.abs(times[None, :] - levels[:, None]).argmin(axis=1))
 
     @property
     def depth(self) -> Array:

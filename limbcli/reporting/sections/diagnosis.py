@@ -67,7 +67,7 @@ def _against_the_fit(data: Mapping[str, Any], fit: FitView | None) -> tuple[str,
     """Why c and m of the diagnosis without any effect are not those of the fit."""
     base, step = next(iter(data["shrink"]), None), fit.last if fit else None
     m = step.estimate("m") if step else None
-    if base is None or step is None or m is None or "m" not in base["values"]:
+    if base is None or step is None or m is None or "m" not in base.get("open_ends", ()):
         return ()
     channels = ", ".join(base["rms"])
     return (
