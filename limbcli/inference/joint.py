@@ -59,9 +59,6 @@ class JointTask:
     c_deviation: float | None = None
     beside_layers: Sequence[bool] = ()
 
-    def is_beside_layers(self, k: int) -> bool:
-        return bool(self.beside_layers) and self.beside_layers[k]
-
 
 class JointProblem(Likelihood):
     """Likelihood of the sites; theta = (c, shape..., a gain for each site whose gain is uncertain)."""
@@ -82,7 +79,7 @@ class JointProblem(Likelihood):
             priors.append((0, task.c0, max(task.c_deviation, _LEAST)))
         blocks = []
         for k, (data, curve, rest) in enumerate(zip(task.data, task.curves, task.log_speed_0, strict=True)):
-            beside = task.is_beside_layers(k)
+            beside = bool(task.beside_layers) and task.beside_layers[k]
             gain = n + self.gained.index(k) if k in self.gained else None
             place = Place.of(len(parameters), c0=task.c0, shape=range(1, n), beside_layers=beside, gain=gain)
             blocks.append(SiteBlock(data, Emulator(curve), place, rest_speed_by_c(rest) if beside else rest))
