@@ -9,7 +9,7 @@ from typing import Any
 import typer
 
 from limbcli.errors import CaseError
-from limbcli.errors.problems import suggestion
+from limbcli.errors.problems import similar
 from limbcli.options import Argument
 
 
@@ -38,8 +38,8 @@ def _others_than(words: Sequence[str]) -> Callable[[typer.CallbackParam, str | N
         if value is None or value in words:
             return value
         listed = f"{', '.join(words[:-1])} or {words[-1]}"
-        near = suggestion(value, words)
-        hint = f"; {near}" if near.startswith("did you") else ""
+        near = similar(value, words)
+        hint = f"; {near}" if near else ""
         raise CaseError(f"{value!r} is not possible here", where=param.opts[0], fix=f"use {listed}{hint}")
 
     return refuse

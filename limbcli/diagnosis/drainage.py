@@ -19,7 +19,6 @@ import numpy as np
 from limbcli.config import available_cores, shares
 from limbcli.diagnosis.curves.curve_plan import USUAL_M
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.curves.solve_memo import SolveMemo
 from limbcli.diagnosis.data.held_forces import HeldForces
 from limbcli.diagnosis.explanations import decisions
 from limbcli.effects import poroelasticity
@@ -40,6 +39,7 @@ from limbcli.site_model.indentation_model import (
 from limbcli.solvers import choose
 from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
+from limbcli.solvers.solve_folder import SolveFolder
 
 NAME = poroelasticity.EFFECT.name
 SHARES_OF_DEPTH = (1.0, 0.5, 0.25)
@@ -114,7 +114,7 @@ def drained(
             why = f"no force decrease in the holds ({fallen:.1f} deviations over all of them)"
             return Drained(refused=_refused(why, fix="--solver febio evaluates it anyway"))
     depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
-    runs = _Runs(solver.solver, simulations, SolveMemo(keep), progress)
+    runs = _Runs(solver.solver, simulations, SolveFolder(keep), progress)
     facts: dict[str, Any] = {}
     try:
         found = runs.all(depths)
@@ -144,7 +144,7 @@ class _Runs:
 
     solver: Solver
     simulations: SiteSimulations
-    memo: SolveMemo
+    memo: SolveFolder
     progress: Progress
     version: str = ""
 

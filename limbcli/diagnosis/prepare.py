@@ -26,10 +26,10 @@ from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.drainage import NAME as POROELASTICITY
 from limbcli.diagnosis.drainage import DrainageSolver, Drained, drained
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.diagnosis.mesh_error.mesh_comparison import Notes
+from limbcli.diagnosis.mesh_error.mesh_comparison import mesh_correction
 from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
 from limbcli.diagnosis.mesh_error.model_errors import ModelErrors
-from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, NumericalChecks
+from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, Notes, NumericalChecks
 from limbcli.effects.base import Effect
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.files.atomic import atomic_file, sha256
@@ -195,7 +195,7 @@ class _Preparation:
                 case=self.case, site=self.site, levels=self.levels, simulations=simulations, out=self.out,
                 size=self.size, notes=self.notes, progress=self.progress,
             )  # fmt: skip
-            correction = numerics.correction(solves=self.mesh.interventions)
+            correction = mesh_correction(numerics, solves=self.mesh.interventions)
             interventions = numerics.interventions() if self.mesh.interventions else []
             data = self._data(numerics, correction, interventions, extras)
             refused: dict[str, LimbError] = {}

@@ -16,6 +16,7 @@ from limbcli.diagnosis.data.noise import COMPRESSIBILITY
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.check import Check
+from limbcli.diagnosis.explanations.conclusions.estimates import PRIOR, TISSUE
 from limbcli.diagnosis.explanations.conclusions.sentences import recommended
 from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
 from limbcli.diagnosis.explanations.model.noise import CommonError
@@ -23,10 +24,11 @@ from limbcli.diagnosis.explanations.probabilities import Explained
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.mesh_error.numerical_checks import f_kappa_at
-from limbcli.diagnosis.sizes import reported_sizes
 from limbcli.drawing import save_figure
 from limbcli.effects.base import Parameter
 
+Interval = tuple[float | None, float | None]
+_ON_BOUND = 0.01  # distance from a bound, as a fraction of the range, from which an interval is open there
 _WITHIN = 1.96  # half-width of a 95 % interval, in standard deviations
 # Root-mean-square error of f_kappa as it is estimated beside c and m, in standard deviations of its prior.
 _F_KAPPA_ERROR = 0.7
@@ -125,6 +127,37 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
+def reported_sizes(
+    slots: Mapping[str, Sequence[Slot]], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float
+) -> dict[str, dict[str, Interval]]:
+    """Intervals with the names and units in which they are reported; None: open on that side.
+
+    slots : for every effect, its size parameters; found : by effect and parameter, the interval of its value;
+        missing effects are open
+    c_kpa : of the tissue, for sizes relative to it
+    """
+    sizes: dict[str, dict[str, Interval]] = {}
+    for name, mine in slots.items():
+        row: dict[str, Interval] = {}
+        for slot in mine:
+            p = slot.parameter
+            ends = found.get(name, {}).get(slot.name, (p.low, p.high))
+            near = _ON_BOUND * (p.high - p.low)
+            open_ends = (
+                ends[0] <= p.low + near and p.null > p.low,
+                ends[1] >= p.high - near and p.null < p.high,
+            )
+            values = [
+                None if is_open else _finite(p.quantity(each, c_kpa))
+                for each, is_open in zip(ends, open_ends, strict=True)
+            ]
+            if p.quantity(1.0, c_kpa) > p.quantity(2.0, c_kpa):
+                values.reverse()
+            row[p.reported or p.name] = (values[0], values[1])
+        sizes[name] = row
+    return sizes
+
+
 def _stage(stage: Shrink) -> dict[str, Any]:
     estimates = stage.estimates
     return {
@@ -132,8 +165,12 @@ def _stage(stage: Shrink) -> dict[str, Any]:
         "chi2_per_nu": stage.chi2_per_nu, "rms": dict(stage.rms), "held_out": dict(stage.held_out),
         "values": dict(estimates.values),
         "intervals_95": {name: list(ends) for name, ends in estimates.intervals.items()},
-        "c_and_m_over": estimates.over, "not_told_by_the_data": list(estimates.open),
-        "prior": estimates.prior,
+        "open_ends": {name: list(ends) for name, ends in estimates.open.items()},
+        "c_and_m_over": estimates.over, "prior": PRIOR,
+        "not_told_by_the_data": [
+            f"{letter} {side}" for letter, name in TISSUE.items()
+            for side, out in zip(("below", "above"), estimates.open.get(name, ()), strict=False) if out
+        ],
     }  # fmt: skip
 
 

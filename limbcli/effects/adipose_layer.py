@@ -10,6 +10,8 @@ Source: Comley & Fleck 2010, Int J Solids Struct 47:2982 (fat: shear modulus 0.2
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from limbcli.effects.base import Effect, Parameter, Theta
@@ -18,8 +20,16 @@ from limbcli.model import Array, LimbModel
 
 THICKNESS = "fat_thickness_mm"
 THICK = Parameter.of_shape(THICKNESS, 6.0, 1.5, 20.0, "2 to 15 mm at the calf")
+
+
+def ratio(softness: float, c_kpa: float) -> float:
+    """c of the fat over that of the tissue."""
+    return math.exp(-softness)
+
+
 SOFTNESS = Parameter("log_fat_softness", null=0.0, start=0.7, low=0.0, high=3.0, typical=1.0,
-                     prior="fat 0.2 to 2 kPa under muscle of 2 to 6 kPa: 1 to 3")  # fmt: skip
+                     prior="fat 0.2 to 2 kPa under muscle of 2 to 6 kPa: 1 to 3",
+                     reported="stiffness_ratio", turn=ratio)  # fmt: skip
 
 _EDGE_MM = 0.4
 

@@ -13,15 +13,17 @@ Source: Criscione et al. 2001, J Mech Phys Solids 49:871 (shear moduli of fibred
 
 from __future__ import annotations
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.base import Effect, Parameter, Theta, times_c
 from limbcli.effects.tissue import fibre_direction, ground_modulus, with_part
 from limbcli.model import LimbModel, Material, Value
 
 EXPONENT = "fibre_exponent"
 SHEAR = Parameter("fibre_shear_per_c", null=0.0, start=0.5, low=0.0, high=5.0, typical=1.0,
-                  prior="muscle: mu along / across 1.3 to 3, so mu_f/c 0.3 to 2")  # fmt: skip
+                  prior="muscle: mu along / across 1.3 to 3, so mu_f/c 0.3 to 2",
+                  reported="mu_f_kpa", turn=times_c)  # fmt: skip
 TENSION = Parameter("fibre_tension_per_c", null=0.0, start=0.3, low=0.0, high=5.0, typical=0.5,
-                    prior="passive muscle: tensile anisotropy 2 to 5")  # fmt: skip
+                    prior="passive muscle: tensile anisotropy 2 to 5",
+                    reported="ksi_kpa", turn=times_c)  # fmt: skip
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:

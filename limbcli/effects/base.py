@@ -35,6 +35,8 @@ class Parameter:
         None: its effect is proportional to the distance
     looked_at : fraction of the way from `null` to `start` at which its influence near null is evaluated
     needs : channels without which it stays at null, as nothing tells it from the effect's other parameters
+    reported : name, with its unit, of the quantity by which its size is reported; empty: its own
+    turn : that quantity for a value of the parameter and c in kPa; None: the value itself
     """
 
     name: str
@@ -50,6 +52,8 @@ class Parameter:
     looked_at: float = 0.02
     both_sides: bool = False
     needs: tuple[str, ...] = ()
+    reported: str = ""
+    turn: Callable[[float, float], float] | None = None
 
     @staticmethod
     def of_shape(name: str, start: float, low: float, high: float, prior: str = "") -> Parameter:
@@ -75,13 +79,9 @@ class Parameter:
             distance if self.saturates is None else -self.saturates * math.expm1(-distance / self.saturates)
         )
 
-    def from_proportional(self, x: float) -> float:
-        """Inverse of `proportional`; infinite where no value has so large an effect."""
-        if self.saturates is None:
-            return self.null + x
-        if x >= self.saturates:
-            return math.inf
-        return self.null - self.saturates * math.log1p(-x / self.saturates)
+    def quantity(self, value: float, c_kpa: float) -> float:
+        """The reported quantity for a value, in a tissue with this c."""
+        return value if self.turn is None else self.turn(value, c_kpa)
 
     @property
     def sign(self) -> int:
@@ -89,6 +89,16 @@ class Parameter:
         if self.shape:
             return 0
         return 1 if self.null <= self.low else -1 if self.null >= self.high else 0
+
+
+def times_c(value: float, c_kpa: float) -> float:
+    """kPa, of a value relative to c (`Parameter.turn`)."""
+    return value * c_kpa
+
+
+def exponential(value: float, c_kpa: float) -> float:
+    """A ratio, of its logarithm (`Parameter.turn`)."""
+    return math.exp(value)
 
 
 def same_model(model: LimbModel, theta: Theta) -> LimbModel:

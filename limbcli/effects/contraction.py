@@ -10,12 +10,12 @@ Source: Zajac 1989, Crit Rev Biomed Eng 17:359; Nordez & Hug 2010, J Appl Physio
 
 from __future__ import annotations
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.base import Effect, Parameter, Theta, times_c
 from limbcli.effects.tissue import fibre_direction, ground_modulus, with_part
 from limbcli.model import LimbModel, Material, Value
 
 TENSION = Parameter("active_stress_per_c", null=0.0, start=0.3, low=0.0, high=4.0, typical=0.6,
-                    prior="0 to 30 kPa; guarding, a few kPa")  # fmt: skip
+                    prior="0 to 30 kPa; guarding, a few kPa", reported="t0_kpa", turn=times_c)  # fmt: skip
 
 
 ONSET = "tensed_after_share_of_levels"

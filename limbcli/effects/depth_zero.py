@@ -22,6 +22,7 @@ ZERO = Parameter(
     high=3.0,
     typical=1.0,
     prior="0.5 to 2 mm by eye on a B-mode frame",
+    reported="d0_mm",
 )
 TOUCHES = "depth_0_is_first_touch"  # 1: it is; 0: it is off by d0 like the others
 

@@ -21,6 +21,7 @@ ZERO = Parameter(
     high=4.0,
     typical=1.0,
     prior="probe of 0.2 to 0.4 kg, tilted",
+    reported="f0_n",
 )
 
 

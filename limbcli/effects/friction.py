@@ -18,7 +18,8 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.model import LimbModel
 
 COEFFICIENT = Parameter("friction_coefficient", null=0.0, start=0.2, low=0.0, high=1.0, typical=0.15,
-                        prior="gel 0.02 to 0.15, dry 0.5", saturates=0.17)  # fmt: skip
+                        prior="gel 0.02 to 0.15, dry 0.5", saturates=0.17,
+                        reported="coefficient")  # fmt: skip
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:

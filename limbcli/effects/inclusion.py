@@ -15,7 +15,7 @@ import itertools
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.base import Effect, Parameter, Theta, exponential
 from limbcli.effects.places import Places, stiffened
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.compiled import njit
@@ -26,7 +26,8 @@ X, DEPTH, RADIUS, EDGE = (
 _LOGISTIC = 2.0 * np.log(9.0)  # width of a logistic step from 10 to 90 %, in multiples of its scale
 _FAR = 20.0  # distance from the ball, in scales, beyond which it is neglected (2e-9 of it remain)
 CONTRAST = Parameter("log_inclusion_ratio", null=0.0, start=0.7, low=-2.5, high=3.0, typical=1.0,
-                     prior="scars 2 to 10 times as stiff")  # fmt: skip
+                     prior="scars 2 to 10 times as stiff",
+                     reported="stiffness_ratio", turn=exponential)  # fmt: skip
 SHAPE = (
     Parameter.of_shape(X, 0.0, -26.0, 26.0, "under the probe"),
     Parameter.of_shape(DEPTH, 12.0, 2.0, 40.0, "below the skin under the probe's centre"),

@@ -15,7 +15,7 @@ from limbcli.model import LimbModel
 
 EXPONENT = "second_exponent"
 WEIGHT = Parameter("weight_q", null=0.5, start=0.6, low=0.0, high=1.0, typical=0.8, prior="0 to 1",
-                   natural_bounds=True)  # fmt: skip
+                   natural_bounds=True, reported="q")  # fmt: skip
 SECOND = Parameter("second_pair_share", null=0.0, start=0.1, low=0.0, high=0.6, typical=0.2, prior="0 to 0.5")
 
 

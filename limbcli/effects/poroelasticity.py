@@ -28,9 +28,17 @@ CUT = "cut"  # the node set where the mesh ends but the tissue does not
 # Permeability (mm^4/(N s)) below which the drainage in a hold of some seconds is proportional to the
 # permeability, and above which it grows about as its logarithm.
 BENDS = 0.2
+
+
+def mm4_per_n_s(value: float, c_kpa: float) -> float:
+    """Permeability; the fitted parameter is ln(1 + k / 0.2), in which drainage is about linear."""
+    return BENDS * math.expm1(value)
+
+
 PERMEABILITY = Parameter("log_permeability_ratio", null=0.0, start=3.9, low=0.0, high=7.8, typical=5.5,
                          prior="muscle and fat: permeability 0.01 to 230 mm^4/(N s)",
-                         looked_at=1.0)  # fmt: skip
+                         looked_at=1.0, reported="permeability_mm4_per_n_s",
+                         turn=mm4_per_n_s)  # fmt: skip
 
 
 def permeability(theta: Theta) -> float:

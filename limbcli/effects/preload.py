@@ -23,6 +23,7 @@ PRELOAD = Parameter(
     high=3.0,
     typical=0.7,
     prior="0 to 2 N: weight of the probe, contact through gel",
+    reported="f0_n",
 )
 
 

@@ -11,6 +11,8 @@ J Mech Behav Biomed Mater 18:167.
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from limbcli.effects.base import Effect, Parameter, Theta, same_model
@@ -18,8 +20,16 @@ from limbcli.effects.places import Places, stiffened
 from limbcli.model import Array, LimbModel
 
 THICKNESS = "skin_thickness_mm"
+
+
+def skin_c_kpa(log_ratio: float, c_kpa: float) -> float:
+    """c of the skin."""
+    return math.exp(log_ratio) * c_kpa
+
+
 STIFFNESS = Parameter("log_skin_ratio", null=0.0, start=1.5, low=0.0, high=6.0, typical=2.3,
-                      prior="dermis 5 to 300 times as stiff as what lies below")  # fmt: skip
+                      prior="dermis 5 to 300 times as stiff as what lies below",
+                      reported="c_kpa", turn=skin_c_kpa)  # fmt: skip
 
 
 def stiffness(places: Places, theta: Theta) -> Array:

@@ -9,6 +9,7 @@ Source: series compliance (Hooke); Pathak et al. 1998, IEEE Trans Rehabil Eng 6:
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from limbcli.effects.base import Effect, Parameter, Theta
@@ -16,8 +17,14 @@ from limbcli.effects.reading import Reading
 from limbcli.model import LimbModel
 from limbcli.model.bodies import Drive, RigidBody, Spring
 
+
+def stiffness_n_per_mm(compliance: float, c_kpa: float) -> float:
+    """Of the support."""
+    return 1.0 / compliance if compliance > 0 else math.inf
+
+
 COMPLIANCE = Parameter("support_compliance_mm_per_n", null=0.0, start=0.03, low=0.0, high=0.35, typical=0.05,
-                       prior="5 to 100 N/mm")  # fmt: skip
+                       prior="5 to 100 N/mm", reported="k_n_per_mm", turn=stiffness_n_per_mm)  # fmt: skip
 _LENGTH = 50.0
 _DOFS = ("x", "y", "u", "v", "w")
 

@@ -14,7 +14,14 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 
 SLOPE = Parameter(
-    "swe_loss_per_mm", null=0.0, start=0.005, low=-0.03, high=0.03, typical=0.01, prior="0 to 3 % per mm"
+    "swe_loss_per_mm",
+    null=0.0,
+    start=0.005,
+    low=-0.03,
+    high=0.03,
+    typical=0.01,
+    prior="0 to 3 % per mm",
+    reported="beta_per_mm",
 )
 
 

@@ -9,10 +9,17 @@ Source: Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
+
+
+def cut_off_hz(guided: float, c_kpa: float) -> float:
+    """Frequency below which waves are guided."""
+    return 100.0 / math.sqrt(guided) if guided > 0 else math.inf
+
 
 GUIDED = Parameter(
     "guided_1e4_per_hz2",
@@ -22,6 +29,8 @@ GUIDED = Parameter(
     high=4.0,
     typical=0.25,
     prior="f 50 to 500 Hz: 4 to 0.04",
+    reported="f_c_hz",
+    turn=cut_off_hz,
 )
 
 

@@ -23,6 +23,7 @@ SCALE = Parameter(
     high=1.2,
     typical=0.7,
     prior="dispersion of muscle: 0.5 to 1",
+    reported="s_t",
 )
 
 

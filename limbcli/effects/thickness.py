@@ -17,7 +17,7 @@ from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.model import LimbModel
 
 SCALE = Parameter("thickness_change", null=0.0, start=0.05, low=-0.2, high=0.2, typical=0.1,
-                  prior="posture and volume: within 10 %")  # fmt: skip
+                  prior="posture and volume: within 10 %", reported="epsilon")  # fmt: skip
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:

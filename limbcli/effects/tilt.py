@@ -19,9 +19,11 @@ from limbcli.model import Array, LimbModel
 
 _AROUND = 10.0  # margin around the probe (mm) within which the skin is considered
 ABOUT_SHORT = Parameter("tilt_about_short_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
-                        prior="by hand, within 10 deg", both_sides=True)  # fmt: skip
+                        prior="by hand, within 10 deg", both_sides=True,
+                        reported="about_short_axis_deg")  # fmt: skip
 ABOUT_LONG = Parameter("tilt_about_long_axis_deg", null=0.0, start=5.0, low=-15.0, high=15.0, typical=5.0,
-                       prior="by hand, within 10 deg", both_sides=True)  # fmt: skip
+                       prior="by hand, within 10 deg", both_sides=True,
+                       reported="about_long_axis_deg")  # fmt: skip
 
 
 def apply(model: LimbModel, theta: Theta) -> LimbModel:

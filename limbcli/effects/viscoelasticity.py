@@ -24,9 +24,9 @@ TAU = "relaxation_time_s"
 # which holds of some tens of seconds show the decay.
 _SECOND_TIME = {1.0: 10.0, 10.0: 60.0, 60.0: 10.0}
 SHARE = Parameter("relaxing_share", null=0.0, start=0.2, low=0.0, high=3.0, typical=0.3,
-                  prior="limb tissue, quasi-linear: 0.03 to 0.3")  # fmt: skip
+                  prior="limb tissue, quasi-linear: 0.03 to 0.3", reported="g1")  # fmt: skip
 SECOND = Parameter("second_relaxing_share", null=0.0, start=0.1, low=0.0, high=3.0, typical=0.1,
-                   prior="as the first share", needs=("hold",))  # fmt: skip
+                   prior="as the first share", needs=("hold",), reported="g2")  # fmt: skip
 
 
 def terms(theta: Theta) -> tuple[tuple[float, float], ...]:

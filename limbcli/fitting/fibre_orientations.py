@@ -84,10 +84,9 @@ def undetermined(shares: Sequence[float], has_speeds: Sequence[bool]) -> list[st
     ]
 
 
-def write_moduli(c_kpa: float, fibre_shear: float, writer: StageWriter) -> None:
-    """Write the shear moduli along and across the fibres, as reported in elastography."""
+def write_moduli(c_kpa: float, fibre_shear: float, writer: StageWriter) -> list[str]:
+    """Write the shear moduli along and across the fibres, as reported in elastography; a line on them."""
     across = c_kpa / 2
-    writer.data["mu_across_kpa"], writer.data["mu_along_kpa"] = across, across * (1 + fibre_shear)
-    writer.summary.append(
-        f"shear modulus across the fibres {across:.2f} kPa, along them {across * (1 + fibre_shear):.2f} kPa"
-    )
+    along = across * (1 + fibre_shear)
+    writer.data["mu_across_kpa"], writer.data["mu_along_kpa"] = across, along
+    return [f"shear modulus across the fibres {across:.2f} kPa, along them {along:.2f} kPa"]

@@ -17,9 +17,9 @@ import numpy as np
 from limbcli.config import available_cores, shares
 from limbcli.errors import SolveError
 from limbcli.files.temporary_folders import scratch_folder
-from limbcli.fitting.boundary_check import ChangedBoundary
 from limbcli.fitting.kept_solves import KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
+from limbcli.fitting.model_checks import ChangedBoundary
 from limbcli.fitting.solve_again import forces_again
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
@@ -240,7 +240,7 @@ class LawCurve:
             np.outer(result.force_gradient[(TISSUE, name)], slope) for name, slope in searched.items()
         )
         values, slopes = [points.forces], [np.asarray(by_shape)]
-        rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
+        rows = result.rows
         if self._speeds:
             values += [mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)]
             slopes += [np.full((len(rows), len(theta)), np.nan)]

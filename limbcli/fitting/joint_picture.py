@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import SiteMeasurement, SitePrediction
+from limbcli.inference.site_depth import SiteMeasurement, SitePrediction
 from limbcli.measurement.levels import LAYERS
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure

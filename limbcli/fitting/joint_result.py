@@ -16,9 +16,10 @@ from limbcli.fitting.laws import FIBRE_F_KAPPA, LOCKING, FitLaw
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import chi_square_agreement
 from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
-from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, SitePrediction, held_out_error
+from limbcli.inference.joint import JointProblem, JointTask, held_out_error
 from limbcli.inference.likelihood import Likelihood
 from limbcli.inference.parameter import FitParameter
+from limbcli.inference.site_depth import SiteMeasurement, SitePrediction
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import LimbModel
 from limbcli.numbers.interval_limits import Flag
@@ -54,19 +55,12 @@ def write_joint(
     write_level_table(writer, problem.task.data, lambda k: problem.predict(k, found.best))
     write_exports(writer, rows, fitted)
     draw_joint(problem.task.data, lambda k: problem.predict(k, found.best), found, writer)
-    for name, each in parameters.items():
-        writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
-    warn_poor(found, writer)
-    warn_locking(law, writer)
-    if law.has_fibres:
-        write_moduli(values["c_kpa"], values["fibre_shear"], writer)
+    notes = write_moduli(values["c_kpa"], values["fibre_shear"], writer) if law.has_fibres else []
     n_layers = sum(len(each.layers) for each in problem.task.data)
     writer.data["n_layer_readings"] = n_layers
     if n_layers:
-        writer.summary.append(f"{n_layers} readings of layers entered")
-    writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
-    for theta in found.unsolved:
-        writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
+        notes.append(f"{n_layers} readings of layers entered")
+    report_fit(writer, law, parameters, found, notes)
 
 
 def write_numbers(
@@ -85,7 +79,22 @@ def write_numbers(
     )  # fmt: skip
 
 
-def warn_poor(found: Intervals, writer: StageWriter) -> None:
+def report_fit(
+    writer: StageWriter, law: FitLaw, parameters: Mapping[str, Mapping[str, Any]], found: Intervals,
+    notes: Sequence[str],
+) -> None:  # fmt: skip
+    """Summary and warnings that the fits of sites and of states have in common, with the `notes` of one."""
+    for name, each in parameters.items():
+        writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
+    writer.summary += notes
+    writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
+    _warn_poor(found, writer)
+    _warn_locking(law, writer)
+    for theta in found.unsolved:
+        writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")
+
+
+def _warn_poor(found: Intervals, writer: StageWriter) -> None:
     """Write `agreement`; a bad one is also the first warning."""
     met = chi_square_agreement(found.chi_square, found.n_freedom)
     writer.data["agreement"] = met.to_json()
@@ -102,7 +111,7 @@ def warn_poor(found: Intervals, writer: StageWriter) -> None:
     )
 
 
-def warn_locking(law: FitLaw, writer: StageWriter) -> None:
+def _warn_locking(law: FitLaw, writer: StageWriter) -> None:
     """Warn that parameters found with linear tetrahedra (`element` of the result) hold on that mesh only."""
     if "tet4" not in writer.data["element"]:
         return

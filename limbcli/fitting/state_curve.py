@@ -105,7 +105,7 @@ class StateCurve:
                 fix="check the depths and stretches of the states, or choose another law",
             ) from error
         points = result.must_points
-        rows = np.abs(result.simulation.times[None] - points.times[:, None]).argmin(axis=1)
+        rows = result.rows
         nodes = result.simulation.nodes[_NODES]
         moved = np.stack([nodes.column(name)[rows[0]] for name in ("ux", "uy", "uz")], axis=1)
         rise, weights = skin_rise(model, nodes.items, moved)

@@ -12,13 +12,7 @@ from limbcli.effects.tissue import fibre_direction
 from limbcli.feb.write import write_feb
 from limbcli.fitting.exports import parameter_rows, write_exports
 from limbcli.fitting.joint_picture import draw_joint
-from limbcli.fitting.joint_result import (
-    parameter_table,
-    warn_locking,
-    warn_poor,
-    write_level_table,
-    write_numbers,
-)
+from limbcli.fitting.joint_result import parameter_table, report_fit, write_level_table, write_numbers
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.least_stiffness import LeastStiffness, least_stiffness
 from limbcli.fitting.state_curve import StateCurve
@@ -62,7 +56,13 @@ def write_states(
     )
     draw_states(writer, site, plan, curve, problem, found, lowest)
     _write_models(writer, site, model, curve, problem, found)
-    _report(writer, parameters, lowest, law, found)
+    notes = [each.words() for each in lowest]
+    for way, stretch in writer.data["taken_as_unloaded"].items():
+        notes.append(
+            f"{way} the limb all states that give it have a stretch of {stretch:g}: taken as unloaded there"
+        )
+    writer.warnings += writer.data["undetermined"]
+    report_fit(writer, law, parameters, found, notes)
 
 
 def _stated(site: Site, way: str) -> list[float | None]:
@@ -131,22 +131,3 @@ def _write_models(
     for k, state in enumerate(site.states):
         fitted = curve.in_state(base, problem.place(k, found.best), c=problem.c_of_curve(found.best))
         write_feb(fitted, writer.file(f"feb_{state.name}", f"{state.name}.feb"))
-
-
-def _report(
-    writer: StageWriter, parameters: dict[str, dict[str, Any]], lowest: Sequence[LeastStiffness], law: FitLaw,
-    found: Intervals,
-) -> None:  # fmt: skip
-    warn_poor(found, writer)
-    for name, each in parameters.items():
-        writer.summary.append(f"{name}: {each['headline']}; {each['words']}")
-    writer.summary += [each.words() for each in lowest]
-    for way, stretch in writer.data["taken_as_unloaded"].items():
-        writer.summary.append(
-            f"{way} the limb all states that give it have a stretch of {stretch:g}: taken as unloaded there"
-        )
-    writer.summary.append(f"chi-square {found.chi_square:.1f} for {found.n_freedom} degrees of freedom")
-    writer.warnings += writer.data["undetermined"]
-    warn_locking(law, writer)
-    for theta in found.unsolved:
-        writer.warnings.append(f"no simulation converged at {np.array2string(theta, precision=3)}")

@@ -88,9 +88,10 @@ def force_agreement(
         return FitAgreement("untested", "the force cannot be compared: there is no loaded level")
     rms, noise = root_mean_square(residual), root_mean_square(deviation)
     told = f"it differs from the measured force by {short(rms, 2)} N (RMSE under load)"
-    seen = f"; R2 {r2:.2f}" if np.isfinite(r2) and r2 < LEAST_R2 else ""
+    poor = bool(np.isfinite(r2) and r2 < LEAST_R2)
+    seen = f"; R2 {r2:.2f}" if poor else ""
     if not (deviation > 0).all():
-        if seen:
+        if poor:
             return FitAgreement("bad", f"{told}{seen}", rms, noise or None)
         return FitAgreement(
             "untested",
@@ -103,8 +104,8 @@ def force_agreement(
     numbers = _numbers(rms, noise, chi_square, n_freedom, below=(own, n_own), signs=residual)
     of_noise = f"{short(rms / noise, 2)} times the counted noise of {short(noise, 2)} N"
     return _judged(
-        numbers, bad=rms > BEYOND_NOISE * noise or bool(seen),
-        good=f"the force agrees: RMSE {short(rms, 2)} N under load, {of_noise}",
+        numbers, bad=rms > BEYOND_NOISE * noise or poor,
+        good=f"the force {{agrees}}: RMSE {short(rms, 2)} N under load, {of_noise}",
         poor=f"{told}, {of_noise}{seen}",
     )  # fmt: skip
 
@@ -190,7 +191,7 @@ def chi_square_agreement(chi_square: float, n_freedom: int) -> FitAgreement:
     """
     numbers = _numbers(None, None, chi_square, n_freedom, below=(chi_square, n_freedom))
     return _judged(
-        numbers, bad=False, good="the fit agrees with the data", poor="the fit does not reproduce the data"
+        numbers, bad=False, good="the fit {agrees} with the data", poor="the fit does not reproduce the data"
     )
 
 
@@ -212,7 +213,10 @@ def _numbers(
 
 
 def _judged(numbers: Mapping[str, Any], *, bad: bool, good: str, poor: str) -> FitAgreement:
-    """The verdict of the tests; `bad`: a test of size has already decided."""
+    """The verdict of the tests; `bad`: a test of size has already decided.
+
+    good : words of a fit that is not bad, with the field `agrees` for how well it agrees
+    """
     chance, below, runs = (numbers.get(name) for name in ("chance", "chance_below", "runs_chance"))
     told = ""
     if chance is not None:
@@ -223,15 +227,16 @@ def _judged(numbers: Mapping[str, Any], *, bad: bool, good: str, poor: str) -> F
     if chance is not None and chance < BAD_CHANCE:
         return FitAgreement("bad", f"{poor}{told}", **numbers)
     if chance is not None and chance < DOUBTFUL_CHANCE:
-        return FitAgreement("doubtful", f"{good.replace('agrees', 'agrees poorly', 1)}{told}", **numbers)
+        return FitAgreement("doubtful", f"{good.format(agrees='agrees poorly')}{told}", **numbers)
     if below is not None and below < TOO_CLOSE_CHANCE:
         close = (
-            f"{good.replace('agrees', 'agrees too well', 1)}; chi2/nu "
+            f"{good.format(agrees='agrees too well')}; chi2/nu "
             f"{short(numbers['chi_square_per_freedom'], 3)}. This is closer than the counted "
             f"noise allows (a misfit as small has a chance of {short(100 * below, 2)} %): the stated noise "
             "is too large, or the levels were smoothed"
         )
         return FitAgreement("doubtful", close, **numbers, too_close=True)
+    good = good.format(agrees="agrees")
     rms, noise = numbers.get("rms"), numbers.get("noise_rms")
     visible = rms is not None and noise is not None and rms > WITHIN_NOISE * noise
     if runs is not None and runs < DOUBTFUL_CHANCE and visible:

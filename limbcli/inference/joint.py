@@ -16,35 +16,13 @@ import numpy as np
 from limbcli.errors import FitError
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.likelihood import C_STEP_FACTOR, Likelihood, Place, SiteBlock
+from limbcli.inference.likelihood import Likelihood, Place, SiteBlock
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import best_of
-from limbcli.inference.site_depth import (
-    RestSpeed,
-    SiteMeasurement,
-    SitePrediction,
-    invert,
-    predict_site,
-    rest_speed_by_c,
-)
+from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, rest_speed_by_c
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
-
-__all__ = [
-    "C_SPAN",
-    "C_STEP_FACTOR",
-    "JointProblem",
-    "JointTask",
-    "SiteMeasurement",
-    "SitePrediction",
-    "gain_of_mesh",
-    "held_out_error",
-    "invert",
-    "joint_fit",
-    "predict_site",
-    "start_c",
-]
 
 C_SPAN = 10.0  # factor from the start value of c to either of its bounds
 _LEAST = 1e-4  # lower limit of the standard deviation of the prior on ln c
@@ -81,9 +59,6 @@ class JointTask:
     c_deviation: float | None = None
     beside_layers: Sequence[bool] = ()
 
-    def is_beside_layers(self, k: int) -> bool:
-        return bool(self.beside_layers) and self.beside_layers[k]
-
 
 class JointProblem(Likelihood):
     """Likelihood of the sites; theta = (c, shape..., a gain for each site whose gain is uncertain)."""
@@ -104,7 +79,7 @@ class JointProblem(Likelihood):
             priors.append((0, task.c0, max(task.c_deviation, _LEAST)))
         blocks = []
         for k, (data, curve, rest) in enumerate(zip(task.data, task.curves, task.log_speed_0, strict=True)):
-            beside = task.is_beside_layers(k)
+            beside = bool(task.beside_layers) and task.beside_layers[k]
             gain = n + self.gained.index(k) if k in self.gained else None
             place = Place.of(len(parameters), c0=task.c0, shape=range(1, n), beside_layers=beside, gain=gain)
             blocks.append(SiteBlock(data, Emulator(curve), place, rest_speed_by_c(rest) if beside else rest))

@@ -38,6 +38,21 @@ Thickness = float | str
 
 
 @dataclass(frozen=True)
+class ThicknessSource:
+    """Where a layer's thickness comes from ("MRI", "given", ...), with details in words.
+
+    >>> str(ThicknessSource("given")), str(ThicknessSource("MRI", "5.0 mm"))
+    ('given', 'MRI: 5.0 mm')
+    """
+
+    origin: str
+    details: str = ""
+
+    def __str__(self) -> str:
+        return f"{self.origin}: {self.details}" if self.details else self.origin
+
+
+@dataclass(frozen=True)
 class LayerLaw:
     """A layer's law in the tissue's parameters: c = 2 mu (MPa), kappa' = f_kappa c, exponent m or beta.
 
@@ -94,7 +109,7 @@ class Layering:
 
     def of(
         self, site: Site, segmented: StageResult, *, size: float
-    ) -> tuple[tuple[Layer, ...], dict[str, str]]:
+    ) -> tuple[tuple[Layer, ...], dict[str, ThicknessSource]]:
         """The layers of one site and the source of each thickness."""
         if not self.seen and self.is_from_images(site):
             raise CaseError(
@@ -112,7 +127,7 @@ def wanted_layers(
     skin: Thickness | None = None,
     fat: Thickness | None = None,
     size: float,
-) -> tuple[tuple[Layer, ...], dict[str, str]]:
+) -> tuple[tuple[Layer, ...], dict[str, ThicknessSource]]:
     """The layers of a site, outermost first, and the source of each thickness.
 
     skin, fat : mm (0: none) or "mri"; None: according to case.toml. Without a skin layer, fat begins at the
@@ -131,11 +146,12 @@ def wanted_layers(
     found, sources = {}, {}
     for name, value in requested.items():
         found[name] = seen[name] if value == MRI else float(value)
-        sources[name] = shown if value == MRI else "given"
+        sources[name] = ThicknessSource(shown if value == MRI else "given")
     if requested["fat"] == MRI and found["skin"] == 0.0:
         above = float(segmented.data["layers"][site.name]["skin_mm"])
         found["fat"] += above
-        sources["fat"] = f"{shown}: {seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
+        details = f"{seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
+        sources["fat"] = ThicknessSource(shown, details)
     layers = layers_of(skin=found["skin"], fat=found["fat"], size=size)
     return layers, {each.name: sources[each.name] for each in layers}
 

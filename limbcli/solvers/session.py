@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Self
 import numpy as np
 
 from limbcli.errors import CaseError, SolveError
-from limbcli.model import Array, LimbModel, LogRecord
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.budget import Budget
@@ -74,6 +74,12 @@ class SessionResult:
     differenced: bool = False
     field_gradient: Mapping[Parameter, Mapping[str, Table]] = field(default_factory=dict)
     levels: Solved | None = None
+
+    @property
+    def rows(self) -> IntArray:
+        """Numbers of the levels (n_levels,) among the converged times."""
+        times = self.simulation.times[None] - self.must_points.times[:, None]
+        return np.asarray(np.abs(times).argmin(axis=1))
 
 
 class ReferenceSession:

@@ -20,15 +20,6 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.fitting.boundary_check import (
-    ChangedBoundary,
-    ChangedForces,
-    boundary_modes,
-    changed_forces,
-    moved_parameters,
-    write_boundary_check,
-)
-from limbcli.fitting.contact_check import write_contact_check
 from limbcli.fitting.cycles import through_cycle, write_cycle
 from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
@@ -36,6 +27,14 @@ from limbcli.fitting.geometry import site_geometry_uncertainty
 from limbcli.fitting.geometry_result import write_geometry
 from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.fitting.layers import write_layers
+from limbcli.fitting.model_checks import (
+    ChangedForces,
+    boundary_modes,
+    changed_forces,
+    moved_parameters,
+    write_boundary_check,
+    write_contact_check,
+)
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
@@ -154,9 +153,13 @@ def _fit_site(
         uncertainty = site_geometry_uncertainty(
             case, site, out, fitted, curve(theta).values, writer, progress=progress
         )
+        again = partial(forces_again, levels=levels_there, kept=kept, progress=progress)
         changed: list[ChangedForces] = []
         if options.boundary_check:
-            changed = _changed_boundaries(fitted, curve(theta).values, levels_there, kept, progress)
+            changed = changed_forces(
+                fitted, curve(theta).values, lambda each: again(each.of(fitted), "boundary check"),
+                progress=progress,
+            )  # fmt: skip
         modes = boundary_modes(changed, len(knots))
         if uncertainty is not None:
             modes = np.vstack([uncertainty.modes, modes])
@@ -190,7 +193,7 @@ def _fit_site(
             writer.warnings.insert(0, one_state(site))
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
-        _write_checks(identified, fitted, levels_there, changed, kept, writer, options, progress)
+        _write_checks(identified, fitted, again, changed, writer, options, progress)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
@@ -200,37 +203,23 @@ def _fit_site(
 
 
 def _write_checks(
-    found: Identified, fitted: LimbModel, levels: Solved | None, changed: Sequence[ChangedForces],
-    kept: KeptSolves, writer: StageWriter, options: FitOptions, progress: Progress,
+    found: Identified, fitted: LimbModel, again: Callable[[LimbModel, str], Array],
+    changed: Sequence[ChangedForces], writer: StageWriter, options: FitOptions, progress: Progress,
 ) -> None:  # fmt: skip
     """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask.
 
-    levels : of the fitted model, if they are known
+    again : (a changed model, the check) -> its forces
     """
     theta = found.steps[-1].theta
     if options.contact_check:
-
-        def harder(penalty: float) -> Array:
-            harder_model = with_penalty(fitted, penalty)
-            return forces_again(harder_model, "contact check", levels=levels, kept=kept, progress=progress)
-
-        forces = found.curve(theta).values
-        penalty = fitted.contacts[0].penalty
-        write_contact_check(penalty, forces, found.knots, harder, writer, progress=progress)
+        write_contact_check(
+            fitted.contacts[0].penalty, found.curve(theta).values, found.knots,
+            lambda penalty: again(with_penalty(fitted, penalty), "contact check"), writer, progress=progress,
+        )  # fmt: skip
     if options.boundary_check:
         free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == Flag.IDENTIFIED}
         parameters = partial(moved_parameters, found.curve, found.knots, found.data, theta, free)
         write_boundary_check(changed, found.knots, writer, parameters=parameters)
-
-
-def _changed_boundaries(
-    fitted: LimbModel, forces: Array, levels: Solved | None, kept: KeptSolves, progress: Progress
-) -> list[ChangedForces]:
-    def again(boundary: ChangedBoundary) -> Array:
-        other = boundary.of(fitted)
-        return forces_again(other, "boundary check", levels=levels, kept=kept, progress=progress)
-
-    return changed_forces(fitted, forces, again, progress=progress)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -21,14 +21,6 @@ from scipy.linalg import block_diag
 from limbcli.case import Case, Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
-from limbcli.fitting.boundary_check import (
-    BOUNDARIES,
-    ChangedForces,
-    allowing_for,
-    changed_forces,
-    write_boundary_check,
-)
-from limbcli.fitting.contact_check import write_contact_check
 from limbcli.fitting.cycles import through_cycle, write_cycle
 from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.fibre_orientations import write_orientations
@@ -38,11 +30,19 @@ from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.fitting.joint_result import law_row, write_comparison, write_joint
 from limbcli.fitting.laws import LAWS, FitLaw, first_shapes, law_named
+from limbcli.fitting.model_checks import (
+    BOUNDARIES,
+    ChangedForces,
+    allowing_for,
+    changed_forces,
+    write_boundary_check,
+    write_contact_check,
+)
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, JointTask, SiteMeasurement, joint_fit
+from limbcli.inference.joint import JointProblem, JointTask, joint_fit
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.site_depth import RestSpeed
+from limbcli.inference.site_depth import RestSpeed, SiteMeasurement
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.speed_noise import mean_speed_deviation

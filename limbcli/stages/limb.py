@@ -257,7 +257,7 @@ def limb_layers(
         layers, sources = layering.of(site, segmented, size=_LAYER_CELL)
         for layer in layers:
             thickness[layer.name].append(layer.thickness)
-            origin[layer.name].add(sources[layer.name].partition(":")[0])
+            origin[layer.name].add(sources[layer.name].origin)
     if not case.sites:
         for name, value in (("skin", layering.skin), ("fat", layering.fat)):
             if isinstance(value, str):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,14 @@ from limbcli.site_model.mesh_checks import (
 from limbcli.site_model.mesh_inputs import MeshInputs
 from limbcli.site_model.mesh_study import study_site
 from limbcli.site_model.segmented_limb import read_limb, site_position
-from limbcli.site_model.site_layers import Layering, Thickness, layer_laws, layers_in, with_layer_laws
+from limbcli.site_model.site_layers import (
+    Layering,
+    Thickness,
+    ThicknessSource,
+    layer_laws,
+    layers_in,
+    with_layer_laws,
+)
 from limbcli.stages.segmenting.places import warnings_of_limb
 
 
@@ -133,7 +141,7 @@ def mesh_site(
     site: Site,
     limb: Limb,
     options: MeshOptions,
-    layer_sources: dict[str, str],
+    layer_sources: Mapping[str, ThicknessSource],
     out: Path,
     progress: Progress,
 ) -> StageResult:
@@ -180,12 +188,12 @@ def mesh_site(
 
 
 def _report_layers(
-    writer: StageWriter, layers: tuple[Layer, ...], sources: dict[str, str], found: SiteModel
+    writer: StageWriter, layers: tuple[Layer, ...], sources: Mapping[str, ThicknessSource], found: SiteModel
 ) -> None:
     """Report the requested layer thickness and that in the model: layers become thinner over bone."""
     figures, kept = found.quality, found.layers
     writer.data["layers"] = {f"{each.name}_mm": each.thickness for each in layers}
-    writer.data["layer_sources"] = sources
+    writer.data["layer_sources"] = {name: str(each) for name, each in sources.items()}
     if kept is not None:
         made = {f"{each.name}_mm": kept.centre * each.thickness for each in layers}
         writer.data["layers_made"] = {"at_centre": made, "least_share_under_probe": kept.least}

@@ -21,9 +21,10 @@ from limbcli.feb.settings import schedule
 from limbcli.fitting.fibre_rest_speed import rest_speed
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS, first_shapes
-from limbcli.inference.joint import JointTask, SiteMeasurement, joint_fit
+from limbcli.inference.joint import JointTask, joint_fit
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.model import ElementMap
 from limbcli.site_model.indentation_model import indentation_model
 from tests.benchmarks.seeded_rows import counted, held, made, succeeded

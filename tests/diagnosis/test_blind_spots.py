@@ -10,9 +10,8 @@ import pytest
 from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot, blind_spot
 from limbcli.diagnosis.explanations.evidence.laplace import posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import Added, LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted
+from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
-from limbcli.diagnosis.explanations.model.priors import Prior, Priors
 from limbcli.numbers.whitening import Whitener
 
 LN_FACTOR = 2.0

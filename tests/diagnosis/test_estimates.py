@@ -9,11 +9,10 @@ from scipy import stats
 from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M, estimates, sizes_95
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted
+from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
-from limbcli.diagnosis.explanations.model.priors import Prior, Priors
 from limbcli.diagnosis.forward_model.predictions import Slot
-from limbcli.diagnosis.sizes import reported_sizes
+from limbcli.diagnosis.report import reported_sizes
 from limbcli.effects import EFFECTS
 from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy
@@ -43,7 +42,7 @@ def test_of_one_explanation_they_are_those_of_its_posterior():
     of_c, of_m = np.hypot(0.1, 0.05), np.hypot(0.2, 0.12)  # and the models' own error
     assert told.intervals["c_kpa"] == pytest.approx(8.0 * np.exp(of_c * np.array([-Z, Z])), rel=1e-3)
     assert told.intervals["m"] == pytest.approx(4.0 * np.exp(of_m * np.array([-Z, Z])), rel=1e-3)
-    assert (told.open, told.over) == ((), 1)
+    assert (told.open, told.over) == ({"c_kpa": (False, False), "m": (False, False)}, 1)
     blind = estimates([(1.0, found(8.0, 4.0, [0.1, 0.2]))], imaged=False)
     assert blind.intervals["c_kpa"] == told.intervals["c_kpa"]
     of_m = np.hypot(0.2, 0.35)
@@ -76,14 +75,19 @@ def test_a_size_is_averaged_over_the_explanations_that_have_it():
 
 @pytest.mark.parametrize(
     ("m", "deviation", "is_open"),
-    [(1.2, 0.3, ("m below",)), (16.0, 0.4, ("m above",)), (4.0, 0.3, ()), (4.0, 3.0, ("m below", "m above"))],
+    [
+        (1.2, 0.3, (True, False)),
+        (16.0, 0.4, (False, True)),
+        (4.0, 0.3, (False, False)),
+        (4.0, 3.0, (True, True)),
+    ],
 )
 def test_an_interval_is_open_where_it_reaches_the_limit_of_the_search(m, deviation, is_open):
     told = estimates([(1.0, found(8.0, m, [0.1, deviation]))])
-    assert told.open == is_open
+    assert told.open["m"] == is_open
     low, high = told.intervals["m"]
     assert 1.0 <= low <= told.values["m"] <= high <= 20.0
-    assert ("m below" in is_open) is (low == pytest.approx(1.0))
+    assert is_open[0] is (low == pytest.approx(1.0))
 
 
 def test_of_m_a_poor_reading_is_weighed_with_its_prior():
@@ -99,7 +103,7 @@ def test_of_m_a_poor_reading_is_weighed_with_its_prior():
     fitted = Fitted((), start[1:], J, ("c", "m"), values, priors=Priors.about(start, (LN_C, LN_M)))
     told = estimates([(1.0, posterior(fitted, np.array([at]), noise))])
     assert told.values["m"] == pytest.approx(np.exp(expected), rel=0.03)  # the limit at 1 cuts a little
-    assert "c below" in told.open
+    assert told.open["c_kpa"][0]
 
 
 def test_the_interval_of_a_size_alone_is_over_its_grid(rng):

@@ -89,16 +89,16 @@ def test_plateaus_are_the_holds(rng):
 
 def test_elastic_record_falls_by_nothing_and_is_predicted_so(rng):
     found, _ = held_forces(record(rng), levels())
-    assert np.all(np.abs(found.y) < 4 * found.deviation)
+    assert np.all(np.abs(found.y) < 4 * np.sqrt(np.diag(found.covariance)))
     assert found.predict(CURVES, Reading()) == pytest.approx(np.zeros(len(found)), abs=3e-3)
 
 
 def test_relaxing_record_is_predicted_by_its_own_terms(rng):
     shares = ((0.4, 2.0), (0.2, 15.0))
     found, _ = held_forces(record(rng, shares=shares), levels())
-    z = (found.y - found.predict(CURVES, Reading(prony=shares))) / found.deviation
+    z = (found.y - found.predict(CURVES, Reading(prony=shares))) / np.sqrt(np.diag(found.covariance))
     assert np.sqrt(np.mean(z**2)) < 2.0
-    without = (found.y - found.predict(CURVES, Reading())) / found.deviation
+    without = (found.y - found.predict(CURVES, Reading())) / np.sqrt(np.diag(found.covariance))
     assert np.max(np.abs(without)) > 10.0
 
 
@@ -159,7 +159,7 @@ def test_a_small_step_between_two_holds_is_not_taken_for_a_hold(rng):
     force = trace.force + 0.9 * ramp
     found, _ = held_forces(Trace(trace.time, force, depth, None, None, trace.path), levels())
     assert last.any()
-    assert np.all(np.abs(found.y) < 5 * found.deviation)
+    assert np.all(np.abs(found.y) < 5 * np.sqrt(np.diag(found.covariance)))
 
 
 @pytest.mark.parametrize("shares", [(), ((0.4, 2.0), (0.2, 15.0))])
@@ -173,7 +173,7 @@ def test_a_step_that_the_recorded_depth_does_not_show_parts_two_holds(rng, share
     parted = found.windows[A_HOLD, 0, 0] * STEP_S
     assert parted >= 3 * HOLD_S + 2 * RAMP_S
     if not shares:
-        assert np.all(np.abs(found.y) < 4 * found.deviation)
+        assert np.all(np.abs(found.y) < 4 * np.sqrt(np.diag(found.covariance)))
 
 
 def test_what_neighbouring_ratios_of_one_hold_have_in_common_is_told():

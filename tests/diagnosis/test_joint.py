@@ -13,8 +13,7 @@ from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.diagnosis.report import sizes_of
-from limbcli.diagnosis.sizes import reported_sizes
+from limbcli.diagnosis.report import reported_sizes, sizes_of
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
 from tests.diagnosis import reduced

@@ -9,9 +9,8 @@ import pytest
 from scipy import integrate, stats
 
 from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.model.forward_model import Fitted, Scalable
+from limbcli.diagnosis.explanations.model.forward_model import Fitted, Prior, Priors, Scalable
 from limbcli.diagnosis.explanations.model.noise import Noise, NoisePart, common, correlated, independent
-from limbcli.diagnosis.explanations.model.priors import Prior, Priors
 
 N = 12
 CONSTANT = -0.5 * N * np.log(2 * np.pi)  # that evidences leave out

@@ -11,7 +11,7 @@ from limbcli.diagnosis.data import noise as model_noise
 from limbcli.diagnosis.data.noise import MapNoise
 from limbcli.diagnosis.data.rows import SiteRows
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.diagnosis.explanations.model import form_error
+from limbcli.diagnosis.explanations import search
 from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted
 from limbcli.diagnosis.explanations.model.noise import Noise, independent
 from limbcli.effects import effect
@@ -153,13 +153,13 @@ def test_an_effects_form_errs_by_its_share_alike_at_neighbouring_levels_and_plac
     data = Data(np.zeros(n), ("map",) * 4 + ("force",) * 2, level, noise, place=place)
     without, change = np.full(n, 3.0), np.array([1.0, -2.0, 1.0, -2.0, 10.0, 20.0])
     fitted = Fitted(("tilt",), without + change, np.zeros((n, 0)), (), {}, without=without)
-    found = form_error.form_error(data, fitted)
+    found = search.form_error(data, fitted)
     assert found is not None
     assert np.sqrt(np.diag(found)) == pytest.approx([0.15, 0.3, 0.15, 0.3, 0.5, 1.0])
     alike = found / np.sqrt(np.outer(np.diag(found), np.diag(found)))
     assert not alike[:4, 4:].any()
-    assert alike[4, 5] == pytest.approx(form_error._ALIKE)
-    assert alike[0, 2] == pytest.approx(form_error._ALIKE_IN_IMAGE)
+    assert alike[4, 5] == pytest.approx(search._ALIKE)
+    assert alike[0, 2] == pytest.approx(search._ALIKE_IN_IMAGE)
     assert alike[0, 1] == pytest.approx(np.exp(-0.5))  # as far apart as the error is wide
     assert alike[0, 3] == pytest.approx(alike[0, 1] * alike[0, 2])
-    assert form_error.form_error(data, replace(fitted, without=None)) is None  # no effect, no form
+    assert search.form_error(data, replace(fitted, without=None)) is None  # no effect, no form

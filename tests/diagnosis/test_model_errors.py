@@ -9,10 +9,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.mesh_error.mesh_comparison import Notes
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.diagnosis.mesh_error.model_errors import ModelErrors
-from limbcli.diagnosis.mesh_error.numerical_checks import Intervention
+from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, Notes
 from limbcli.effects.curves import Curves
 from limbcli.measurement.levels import Levels
 from limbcli.results import open_stage

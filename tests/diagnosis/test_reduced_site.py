@@ -14,7 +14,7 @@ from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.conclusions.sentences import sentences
 from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.model.form_error import form_error
+from limbcli.diagnosis.explanations.search import form_error
 from limbcli.diagnosis.forward_model.changes import logs
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves

@@ -143,7 +143,7 @@ def test_channels_are_those_measured():
     assert len(plain.rows) == N - 1  # level 0 is 0 N at 0 mm by definition
     full = levels(probe_travel=2.0 * np.arange(N), skin_bone=30.0 - 1.5 * np.arange(N), hold=np.full(N, 20.0))
     windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
-    held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), np.array([0.01, 0.01]))
+    held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), 0.01**2 * np.eye(2))
     rich = site_data("p1", full, StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N, held=held)
     assert set(rich.channels) == {"force", "map", "travel", "skin-bone", "swe", "hold"}
     assert sum(row.channel == "map" for row in rich.rows) == 60 * N
@@ -157,7 +157,7 @@ def test_a_force_that_falls_less_late_in_a_hold_than_early_is_no_scatter():
     first = np.array([[[0, 2], [2, 4]], [[2, 4], [4, 8]]])
     windows = np.concatenate([first + 20 * k for k in range(8)])
     falls = np.tile([0.2, 0.1], 8)
-    held = HeldForces(np.linspace(0, 9, 160), windows, falls, np.full(16, 0.01))
+    held = HeldForces(np.linspace(0, 9, 160), windows, falls, 0.01**2 * np.eye(16))
     data = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held).data
     whiten = Whitener.of(data.noise.covariance)
     off = np.where([channel == "hold" for channel in data.channel], data.y, 0.0)
@@ -198,7 +198,7 @@ def test_a_part_that_one_exponents_model_does_not_show_is_continued_there():
 @pytest.mark.parametrize("recorded", [False, True])
 def test_a_second_relaxing_share_is_fitted_where_holds_are_recorded(recorded):
     windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
-    held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), np.array([0.01, 0.01]))
+    held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), 0.01**2 * np.eye(2))
     site = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held if recorded else None)
     known = {"viscoelasticity": effect("viscoelasticity")}
     slots = Predictions([SiteCurves(site, SimpleNamespace(c=0.01), known)]).slots(("viscoelasticity",))

@@ -19,11 +19,12 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Explanation,
     Facts,
     Fitted,
+    Prior,
+    Priors,
     Proposal,
     Scalable,
 )
 from limbcli.diagnosis.explanations.model.noise import Noise, common, independent
-from limbcli.diagnosis.explanations.model.priors import Prior, Priors
 from limbcli.errors import SolveError
 
 N_FORCE, N_SPEED = 13, 11

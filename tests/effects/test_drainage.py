@@ -50,7 +50,7 @@ def record() -> HeldForces:
                             for d in LEVELS[1:])])  # fmt: skip
     starts = [80 + 4 + 84 * k for k in range(3)]
     windows = np.array([[(a, a + 13), (a + 67, a + 80)] for a in starts])
-    return HeldForces(depth, windows, np.zeros(3), np.full(3, 0.004))
+    return HeldForces(depth, windows, np.zeros(3), 0.004**2 * np.eye(3))
 
 
 def test_shares_are_those_of_the_holds():

@@ -15,7 +15,7 @@ import pydicom
 import pytest
 from pydicom.uid import DeflatedExplicitVRLittleEndian
 
-from limbcli.diagnosis.curves.solve_memo import SolveMemo
+from limbcli.diagnosis.curves.site_solver import SolveMemo
 from limbcli.errors import LimbError
 from limbcli.files.unpacking import UnpackingBudget, read_npz
 from limbcli.imaging.dicom import read_series

@@ -67,6 +67,18 @@ def test_no_verdict_against_a_fit_without_its_number(name):
     assert any(each in words for each in ("chi2/nu", "times the counted noise", "R2 0.")), words
 
 
+def test_how_well_a_fit_agrees_is_said():
+    said = {
+        "scatter as large as the noise": "agrees:",
+        "1.5 times the noise": "agrees poorly:",
+        "levels too smooth: chi2/nu of 0.0001": "agrees too well:",
+        "a drift within the noise": "agrees:",
+    }
+    for name, words in said.items():
+        assert FITS[name][0].words.startswith(f"the force {words}")
+    assert FITS["a joint fit near its degrees of freedom"][0].words.startswith("the fit agrees with the data")
+
+
 def test_too_close_and_the_shape_of_a_drift_are_said():
     assert "closer than the counted noise allows" in FITS["levels too smooth: chi2/nu of 0.0001"][0].words
     assert [name for name, (found, *_) in FITS.items() if found.too_close] == [

@@ -6,18 +6,10 @@ import numpy as np
 import pytest
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.joint import (
-    C_SPAN,
-    JointProblem,
-    JointTask,
-    SiteMeasurement,
-    held_out_error,
-    invert,
-    joint_fit,
-    predict_site,
-)
+from limbcli.inference.joint import C_SPAN, JointProblem, JointTask, held_out_error, joint_fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints
+from limbcli.inference.site_depth import SiteMeasurement, invert, predict_site
 
 C0 = 0.008
 KNOTS = np.linspace(1.0, 11.0, 11)

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.inference.joint import JointProblem, JointTask, predict_site
+from limbcli.inference.joint import JointProblem, JointTask
 from limbcli.inference.prediction import Prediction, SolvedPoints
+from limbcli.inference.site_depth import predict_site
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from tests.inference.test_joint import C0, KNOTS, LOG_SPEED_0, SHAPE, STARTS, curve, measurement
 

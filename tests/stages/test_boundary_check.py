@@ -10,7 +10,9 @@ import pytest
 
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.fitting.boundary_check import (
+from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.laws import LAWS
+from limbcli.fitting.model_checks import (
     BOUNDARIES,
     ChangedForces,
     boundary_modes,
@@ -18,8 +20,6 @@ from limbcli.fitting.boundary_check import (
     moved_parameters,
     write_boundary_check,
 )
-from limbcli.fitting.force_curves import LawCurve
-from limbcli.fitting.laws import LAWS
 from limbcli.fitting.solve_again import forces_again
 from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.two_step_fit import ForceDepth

@@ -9,9 +9,9 @@ import pytest
 
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.fitting.contact_check import write_contact_check
 from limbcli.fitting.force_curves import FIBRE_BAND, LawCurve
 from limbcli.fitting.laws import LAWS
+from limbcli.fitting.model_checks import write_contact_check
 from limbcli.progress import SILENT, Progress
 from limbcli.site_model.indentation_model import TISSUE, indentation_model, with_penalty
 from limbcli.site_model.model_simplification import softer_jumps

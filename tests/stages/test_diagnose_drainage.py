@@ -74,7 +74,7 @@ class Book:
 
 def held(fall: float) -> HeldForces:
     depth = np.r_[np.zeros(20), np.full(80, 4.0)]
-    return HeldForces(depth, np.array([[(24, 34), (84, 94)]] * 2), np.full(2, fall), np.full(2, 0.004))
+    return HeldForces(depth, np.array([[(24, 34), (84, 94)]] * 2), np.full(2, fall), 0.004**2 * np.eye(2))
 
 
 def drained_by(solver: Pretending, keep: Path, data: HeldForces | None, *, always: bool = True) -> Drained:

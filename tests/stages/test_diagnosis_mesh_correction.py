@@ -12,8 +12,9 @@ import pytest
 from limbcli.diagnosis import written_model as written
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.mesh_error.mesh_comparison import MeshComparison, Notes
+from limbcli.diagnosis.mesh_error.mesh_comparison import corrected, left_error
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
+from limbcli.diagnosis.mesh_error.numerical_checks import Notes
 from limbcli.effects.curves import Curves
 from limbcli.errors import CaseError
 from limbcli.model.npz_file import save_model
@@ -113,11 +114,10 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
         soft = with_layer_laws(layered_block(), {"fat": LayerLaw()})
         save_model(soft, writer.file("model", "model.npz"))
     notes, simulations = Notes(), _simulations(tmp_path)
-    comparison = MeshComparison(
-        site=site, depth=DEPTHS, simulations=simulations, out=layered, size=5.0, several=[4.0],
-        notes=notes, progress=SILENT,
-    )  # fmt: skip
-    correction = comparison.correction(freed={}, held={})
+    checks = SimpleNamespace(
+        site=site, depth=DEPTHS, simulations=simulations, out=layered, size=5.0, notes=notes, progress=SILENT
+    )
+    correction = corrected(checks, [4.0], freed={}, held={})
     simulations.close()
     assert not correction.log_force.any()
     assert correction.mesh_error.max() < 0.2
@@ -129,38 +129,36 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     assert "no .feb was written: the site's mesh has fat" in reported.warnings[0]
 
 
-def _comparison(out: Path, curves: dict[float, Curves], depth: np.ndarray, size: float) -> MeshComparison:
-    simulations = SimpleNamespace(curves=curves.__getitem__)
-    return MeshComparison(
-        site=SimpleNamespace(name="p1"), depth=depth, simulations=simulations, out=out, size=size,
-        several=list(curves), notes=Notes(), progress=SILENT,
-    )  # fmt: skip
+def _corrected(
+    curves: dict[float, Curves], depth: np.ndarray, size: float = 5.0, **changed
+) -> MeshCorrection:
+    checks = SimpleNamespace(simulations=SimpleNamespace(curves=curves.__getitem__), depth=depth, size=size)
+    return corrected(checks, list(curves), solves=False, **{"freed": {}, "held": {}, **changed})
 
 
 def _curves(force: list[float], log_speed: list[float]) -> Curves:
     return Curves(np.arange(len(force)) * 1.0, np.array(force), np.array(log_speed)[:, None], np.zeros(1))
 
 
-def test_the_limb_is_half_way_from_a_cut_that_is_held_to_one_that_is_free(tmp_path):
+def test_the_limb_is_half_way_from_a_cut_that_is_held_to_one_that_is_free():
     """Of ln force and ln speeds; a part that the free model does not show moves as at the next depths."""
     held, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, np.nan, 0.5])
-    comparison = _comparison(tmp_path, {4.0: held}, np.array([0.0, 1.5, 2.0]), 5.0)
-    alone = comparison.correction(solves=False, freed={}, held={})
-    assert not alone.log_force.any()
-    found = comparison.correction(solves=False, freed={4.0: freed}, held={})
+    depth = np.array([0.0, 1.5, 2.0])
+    assert not _corrected({4.0: held}, depth).log_force.any()
+    found = _corrected({4.0: held}, depth, freed={4.0: freed})
     assert held.force * np.exp(found.log_force[0]) == pytest.approx(np.sqrt(held.force * freed.force))
     assert found.log_speed[0, :, 0] == pytest.approx([-0.05, 0.025, 0.1])
 
 
-def test_the_limb_is_half_way_from_a_far_side_that_is_free_to_one_that_is_held(tmp_path):
+def test_the_limb_is_half_way_from_a_far_side_that_is_free_to_one_that_is_held():
     """Beside what freeing the cut changes."""
     plain, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, 0.1, 0.5])
     held = _curves([0.0, 2.2, 6.0], [0.1, 0.3, 0.2])
-    comparison = _comparison(tmp_path, {4.0: plain}, np.array([0.0, 1.5, 2.0]), 5.0)
-    alone = comparison.correction(solves=False, freed={}, held={4.0: held})
+    depth = np.array([0.0, 1.5, 2.0])
+    alone = _corrected({4.0: plain}, depth, held={4.0: held})
     assert plain.force * np.exp(alone.log_force[0]) == pytest.approx(np.sqrt(plain.force * held.force))
-    both = comparison.correction(solves=False, freed={4.0: freed}, held={4.0: held})
-    cut = comparison.correction(solves=False, freed={4.0: freed}, held={})
+    both = _corrected({4.0: plain}, depth, freed={4.0: freed}, held={4.0: held})
+    cut = _corrected({4.0: plain}, depth, freed={4.0: freed})
     assert both.log_force == pytest.approx(alone.log_force + cut.log_force)
     assert both.log_speed == pytest.approx(alone.log_speed + cut.log_speed)
 
@@ -180,16 +178,13 @@ def test_the_deepest_depths_of_the_own_mesh_are_attempted_but_not_required(tmp_p
     assert given == [(4, 5)]  # of 0.45, 0.9, 1.8, 2.7, 3.6 mm: 0.6 of the depth, and all of it
 
 
-def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge(tmp_path):
+def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge():
     """Of forces that are too large by k h^2: half as much again as the finer mesh keeps."""
     for size, h in ((5.0, 2.5), (6.0, 2.0)):
         kept = h**2 / (size**2 - h**2)
-        comparison = _comparison(tmp_path, {4.0: _curves([0.0, 1.0], [0.0, 0.0])}, np.zeros(2), size)
-        assert comparison._left(h) == pytest.approx(1.5 * kept)
-    usual = [
-        _comparison(tmp_path, {4.0: _curves([0.0, 1.0], [0.0, 0.0])}, np.zeros(2), size)
-        .correction(solves=False, freed={}, held={}).mesh_error for size in (2.5, 5.0)
-    ]  # fmt: skip
+        assert left_error(h, size) == pytest.approx(1.5 * kept)
+    curves = {4.0: _curves([0.0, 1.0], [0.0, 0.0])}
+    usual = [_corrected(curves, np.zeros(2), size).mesh_error for size in (2.5, 5.0)]
     assert usual[0] == pytest.approx(0.03)
     assert usual[1] == pytest.approx(4 * usual[0])
 

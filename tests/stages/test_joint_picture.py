@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from limbcli.drawing import figure_data
 from limbcli.fitting import joint_picture
-from limbcli.inference.joint import SiteMeasurement, SitePrediction
+from limbcli.inference.site_depth import SiteMeasurement, SitePrediction
 
 FORCE = np.linspace(0.5, 8.0, 5)
 LAYER_DATA = type(SiteMeasurement.__dataclass_fields__["layers"].default)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from limbcli.site_model.indentation_model import indentation_model, window_cells
 from limbcli.site_model.site_layers import (
     Layering,
     LayerLaw,
+    ThicknessSource,
     layer_laws,
     parse_law,
     thickness_of,
@@ -27,6 +29,7 @@ from limbcli.site_model.site_layers import (
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, fit
+from limbcli.stages.limb import limb_layers
 from tests.stages.block_case import block_model, make_case
 
 DEPTHS = np.array([0.8, 1.6, 2.4, 3.2])
@@ -73,7 +76,7 @@ def test_thickness_comes_from_the_option_then_the_case_then_not_at_all(case: Cas
     assert Layering(None, None).of(site, segmented(), size=2.5)[0] == ()
     layers, sources = Layering(None, None).of(in_case, segmented(), size=2.5)
     assert [(each.name, each.thickness) for each in layers] == [("skin", 1.5), ("fat", 5.0)]
-    assert sources == {"skin": "given", "fat": "given"}
+    assert sources == {"skin": ThicknessSource("given"), "fat": ThicknessSource("given")}
     layers, _ = Layering(0.0, 7.0).of(in_case, segmented(), size=2.5)
     assert [(each.name, each.thickness) for each in layers] == [("fat", 7.0)]
 
@@ -83,10 +86,13 @@ def test_fat_from_the_images_ends_where_the_muscle_was_seen(case: Case) -> None:
     site = case.sites[0]
     both, sources = Layering("mri", "mri").of(site, segmented(**SEEN), size=2.5)
     assert [(each.name, each.thickness) for each in both] == [("skin", 1.2), ("fat", 6.3)]
-    assert sources == {"skin": "MRI", "fat": "MRI"}
+    assert sources == {"skin": ThicknessSource("MRI"), "fat": ThicknessSource("MRI")}
     (fat,), sources = Layering(None, "mri").of(site, segmented(**SEEN), size=2.5)
     assert fat.thickness == pytest.approx(7.5)
-    assert "6.3 mm of fat under 1.2 mm of skin" in sources["fat"]
+    assert str(sources["fat"]) == "MRI: 6.3 mm of fat under 1.2 mm of skin"
+    case = SimpleNamespace(sites=[site])
+    _, words = limb_layers(case, Layering(None, "mri"), segmented(**SEEN), SimpleNamespace(warnings=[]))
+    assert words == {"fat": "mean of 1 (MRI)"}
 
 
 def test_images_that_tell_no_thickness_are_no_guess(case: Case) -> None:

@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import contextlib
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -17,8 +17,7 @@ from limbcli.errors import SolveError
 from limbcli.solvers.budget import Budget
 
 if TYPE_CHECKING:
-    from limbcli.effects.curves import Curves
-    from limbcli.model import Array, LimbModel
+    from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 
 T = TypeVar("T")
 # Exponents m that are simulated first at every site; values between are interpolated, others are simulated
@@ -84,14 +83,6 @@ class Reach:
         return min(int(np.searchsorted(depths, share * needed - 1e-9)) + 1, len(depths))
 
 
-class SimulatedBeside(Protocol):
-    """Simulations without effects on another mesh of the same site."""
-
-    def curves(self, m: float) -> Curves: ...
-
-    def levels(self, m: float) -> tuple[LimbModel, Mapping[float, Array]]: ...
-
-
 @dataclass(frozen=True, kw_only=True)
 class Solving:
     """Solver settings of a simulation.
@@ -99,14 +90,14 @@ class Solving:
     tolerance : of the residual relative to the forces. That of 1e-3 changes forces by 3e-4; 1e-4 takes up to
         six times as long at folds
     threads : of the linear solver; penalty : of the contact; None: four times that of the usual model
-    beside : simulations of the same depths on another mesh. Its levels are initial guesses, and curves are
-        extrapolated along its curves where the solver stops
+    beside : simulations of the same depths on another mesh. Its levels are initial guesses, and curves
+        without effects are extrapolated along its curves where the solver stops
     """
 
     tolerance: float = 1e-3
     threads: int = 2
     penalty: float | None = None
-    beside: SimulatedBeside | None = None
+    beside: SiteSimulations | None = None
 
 
 @dataclass

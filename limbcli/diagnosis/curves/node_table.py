@@ -52,7 +52,7 @@ class NodeTable:
     def values(self, solve: Solve) -> Array:
         """Displacements at the levels reached, in the precision of the memo, so that a resumed diagnosis
         continues with the same numbers."""
-        return solve.result.simulation.nodes[_FILE].values[solve.rows].astype(np.float32).astype(float)
+        return solve.result.simulation.nodes[_FILE].values[solve.result.rows].astype(np.float32).astype(float)
 
     def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
         """The tissue's deformation at these depths (mm, n), the first of which is 0."""
@@ -87,7 +87,7 @@ class NodeTable:
         )
         lines = None
         if self.borders is not None:
-            lines = self.borders.log_depths(solve.model, solve.result.simulation, solve.rows)
+            lines = self.borders.log_depths(solve.model, solve.result.simulation, solve.result.rows)
         return Curves(
             kinematics.depth, np.concatenate([[0.0], solve.result.must_points.forces]), speeds,
             self.windows.depths, thickness(solve.model), lines,

@@ -17,8 +17,7 @@ import numpy as np
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, where_solved
 from limbcli.diagnosis.curves.node_table import NodeTable
 from limbcli.diagnosis.curves.site_models import SiteModels, fingerprint
-from limbcli.diagnosis.curves.site_solver import SiteSolver
-from limbcli.diagnosis.curves.solve_memo import SolvedCurves
+from limbcli.diagnosis.curves.site_solver import SiteSolver, SolvedCurves
 from limbcli.diagnosis.data.layers import BorderLines
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.curves import Curves, continued
@@ -211,7 +210,7 @@ class SiteSimulations:
         self.solver.keep(key, ingredients, solve.result.levels)
         found = SolvedCurves(curves, solve.work, len(self.depths) if is_enough else n_reached)
         self._noted(found, m, ingredients)
-        self.solver.memo.keep_curves(key, found)
+        self.solver.memo.write(key, found.arrays())
         return curves
 
     def _noted(self, found: SolvedCurves, m: float, ingredients: Ingredients) -> Curves:

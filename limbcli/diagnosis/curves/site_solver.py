@@ -4,21 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from limbcli.diagnosis.curves.curve_plan import USUAL_M, Reach, SiteWork, Solving
 from limbcli.diagnosis.curves.site_models import SiteModels
-from limbcli.diagnosis.curves.solve_memo import SolveMemo
+from limbcli.effects.curves import Curves
 from limbcli.effects.ingredients import Ingredients, has_fitted_size, is_numerical, is_of_law_alone, names_of
 from limbcli.errors import SolveError
-from limbcli.model import Array, IntArray, LimbModel
+from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.solvers.session import ReferenceSession, SessionResult
+from limbcli.solvers.solve_folder import SolveFolder
 
 if TYPE_CHECKING:
     from limbcli.solvers.restart import Solved
@@ -35,16 +36,47 @@ class Solve:
     work: int
 
     @property
-    def rows(self) -> IntArray:
-        """Numbers of the levels (n,) among the converged times."""
-        times, levels = self.result.simulation.times, self.result.must_points.times
-        return np.asarray(np.abs(times[None, :] - levels[:, None]).argmin(axis=1))
-
-    @property
     def depth(self) -> Array:
         """Depths (1 + n,) in mm from first touch, the first of which is 0."""
         offset = float(self.model.info.get("depth_offset_mm", 0.0))
         return np.concatenate([[0.0], self.result.must_points.depths + offset])
+
+
+@dataclass(frozen=True, eq=False)
+class SolvedCurves:
+    """Curves, the work of their solve, and the number of depths it reached."""
+
+    curves: Curves
+    work: int
+    n_reached: int
+
+    @staticmethod
+    def of(stored: Any) -> SolvedCurves:
+        curves = Curves(
+            stored["depth"], stored["force"], stored["log_speed"], stored["window_depth"],
+            float(stored["thickness"]), stored.get("log_line", None),
+        )  # fmt: skip
+        return SolvedCurves(curves, int(stored["work"]), int(stored["n_reached"]))
+
+    def arrays(self) -> dict[str, Any]:
+        found = {**vars(self), **{each.name: getattr(self.curves, each.name) for each in fields(Curves)}}
+        return {name: each for name, each in found.items() if name != "curves" and each is not None}
+
+
+class SolveMemo(SolveFolder):
+    """Memo of a site's simulations for its diagnosis."""
+
+    def curves(self, key: str, *, n_depths: int) -> SolvedCurves | None:
+        """None if there are none, or they have another number of depths."""
+        found = self.read(key, SolvedCurves.of)
+        return found if found is not None and len(found.curves.depth) == n_depths + 1 else None
+
+    def displacements(self, key: str) -> Array | None:
+        """Displacements (n_depths, n_nodes, 3) of the tissue's nodes in mm, stored in single precision."""
+        return self.read(f"{key}-nodes", lambda stored: np.asarray(stored["values"], dtype=float))
+
+    def keep_displacements(self, key: str, values: Array) -> None:
+        self.write(f"{key}-nodes", {"values": values.astype(np.float32)})
 
 
 class SiteSolver:

@@ -44,27 +44,16 @@ class HeldForces:
 
     depth (n,) mm; windows (n_features, 2, 2): from, to (exclusive) on the grid, of the two windows
     that are compared; y (n_features,): ln of the mean force in the first window over that in the second;
-    deviation (n_features,): its standard deviation
-    shared (n_features,): negative covariance of each ratio with the next one, from the window that both use;
-        None: no covariance
+    covariance (n_features, n_features): of these
     """
 
     depth: Array
     windows: IntArray
     y: Array
-    deviation: Array
-    shared: Array | None = None
+    covariance: Array
 
     def __len__(self) -> int:
         return len(self.y)
-
-    @property
-    def covariance(self) -> Array:
-        """(n_features, n_features)"""
-        found = np.diag(self.deviation**2)
-        if self.shared is not None and len(self) > 1:
-            found -= np.diag(self.shared[:-1], 1) + np.diag(self.shared[:-1], -1)
-        return found
 
     @property
     def place(self) -> IntArray:
@@ -144,9 +133,8 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     windows, means = _windows(seen, force)
     if not len(windows):
         return None, "no hold has an appreciable force"
-    found = HeldForces(
-        depth, windows, fall(force, windows), *_deviations(trace, windows, means, depth if recorded else None)
-    )
+    covariance = _covariance(trace, windows, means, depth if recorded else None)
+    found = HeldForces(depth, windows, fall(force, windows), covariance)
     if not recorded:
         fallen = float(np.sum(found.y) / np.sqrt(np.sum(found.covariance)))
         if fallen < decisions.FALLEN_SD:
@@ -238,10 +226,11 @@ def _with_next(windows: IntArray) -> NDArray[np.bool_]:
     return np.append(np.all(windows[:-1, 1] == windows[1:, 0], axis=1), False)
 
 
-def _deviations(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> tuple[Array, Array]:
-    """Standard deviations of the ln force ratios, and `HeldForces.shared`.
+def _covariance(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> Array:
+    """Covariance (n_features, n_features) of the ln force ratios.
 
-    From the scatter of the force samples, that of the depth samples times the stiffness, and the floor.
+    From the scatter of the force samples, that of the depth samples times the stiffness, and the floor. Two
+    successive ratios share a window.
 
     moving : the recorded depth on the grid; movement within a hold adds to the uncertainty
     """
@@ -255,11 +244,9 @@ def _deviations(trace: Trace, windows: IntArray, force: Array, moving: Array | N
         places = np.array([[moving[a:b].mean() for a, b in pair] for pair in windows])
         moved = (stiffness * _MOVED_SHARE * np.abs(places[:, 0] - places[:, 1]) / force) ** 2
         of_samples += (stiffness * _scatter(trace.depth) / force[:, None]) ** 2 / samples
-    goes_on = _with_next(windows)
-    return (
-        np.sqrt(of_samples.sum(axis=1) + 2 * moved + floors(windows)),
-        np.where(goes_on, of_samples[:, 1], 0.0),
-    )
+    shared = np.where(_with_next(windows), of_samples[:, 1], 0.0)[:-1]
+    own = of_samples.sum(axis=1) + 2 * moved + floors(windows)
+    return np.asarray(np.diag(own) - np.diag(shared, 1) - np.diag(shared, -1))
 
 
 def floors(windows: IntArray) -> Array:

@@ -56,7 +56,8 @@ def _noise(several: Sequence[Data]) -> Noise:
             parts.append(common(name, np.concatenate(directions), source=source))
         else:
             parts.append(NoisePart(name, block_diag(*(part.covariance for part in found)), source))
-    return Noise(tuple(parts))
+    stated = [data.noise.stated for data in several]
+    return Noise(tuple(parts), ASSUMED if ASSUMED in stated else stated[0])
 
 
 def _groups_and_blocks(sites: Sequence[SiteData]) -> tuple[dict[str, Mask], dict[str, Mask]]:

@@ -228,7 +228,7 @@ def site_data(
         travel_from=zero, layers=layers, held=held, extras=extras,
     )  # fmt: skip
     data = Data(
-        y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts)),
+        y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
         groups=_groups(rows, protocol, windows), blocks=_blocks(rows),
         series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
         place=_place(rows, windows),

@@ -18,7 +18,7 @@ Convention."""
 
 FALSE_ALARMS: Final = 0.05
 """Share of the measurements with nothing missing whose probability of "nothing" is as low by chance, from
-which the model is not adequate. What probability that is, is computed at each site (`evidence.chance`).
+which the model is not adequate. What probability that is, is computed at each site (`least_by_chance`).
 Convention."""
 
 CHECKED: Final = 0.01

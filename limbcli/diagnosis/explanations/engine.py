@@ -1,14 +1,9 @@
 """The complete diagnosis of one data set with one forward model: the probability of every explanation.
 
-1. The model is fitted without effects, and with every effect and pair of effects that matters (`search`);
-   each explanation gets its evidence (`evidence`) and, with its prior, its probability.
-2. The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing
-   missing, which draws from the noise show (`evidence.chance`).
-3. Else the effects that every likely explanation has are named if together these have 95 % and none of their
-   sizes may be none; if not, the set of explanations with 95 % is reported. If even the most probable one
-   fails the posterior predictive check, the verdict is unexplained.
-4. Sizes, c and m are averaged over explanations; what the data cannot show, and which measurement would say
-   most, follow from the same probabilities.
+The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing missing,
+which draws from the noise show. Else the effects that every likely explanation has are named if together
+these have 95 % and none of their sizes may be none; if not, the set of explanations with 95 % is reported. If
+even the most probable one fails the posterior predictive check, the verdict is unexplained.
 """
 
 from __future__ import annotations

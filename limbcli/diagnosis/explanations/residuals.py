@@ -26,10 +26,13 @@ _DEGREE, _LEAST_NU, _TOO_WIDE = 4, 5, 1.0
 
 @dataclass(frozen=True)
 class Roughness:
-    """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated), p of this much or more."""
+    """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated), p of this much or more.
+
+    p is of the sum of squares of heavy-tailed errors, approximated by a scaled chi2 (Satterthwaite) of mean
+    nu and variance 2 nu + excess sum P_ii^2.
+    """
 
     ratio: float
-    nu: int
     p: float
 
 
@@ -50,17 +53,9 @@ def roughness(
     wide = LinearFit.of(state.residual, np.hstack(columns))
     if wide.nu < _LEAST_NU:
         return None
-    return Roughness(wide.chi2 / wide.nu, wide.nu, _p(wide))
-
-
-def _p(fit: LinearFit) -> float:
-    """p of the sum of squares of heavy-tailed errors, approximated by a scaled chi2 (Satterthwaite).
-
-    Mean nu, variance 2 nu + excess sum P_ii^2.
-    """
-    own = 1.0 - np.sum(fit.basis**2, axis=1)
-    scale = 1.0 + EXCESS * float(own @ own) / (2.0 * fit.nu)
-    return float(chdtrc(fit.nu / scale, fit.chi2 / scale))
+    own = 1.0 - np.sum(wide.basis**2, axis=1)
+    scale = 1.0 + EXCESS * float(own @ own) / (2.0 * wide.nu)
+    return Roughness(wide.chi2 / wide.nu, float(chdtrc(wide.nu / scale, wide.chi2 / scale)))
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:

@@ -18,7 +18,6 @@ import numpy as np
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.form_error import form_error
 from limbcli.diagnosis.explanations.model.forward_model import (
     Data,
     Direction,
@@ -27,11 +26,18 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Fitted,
     ForwardModel,
 )
+from limbcli.diagnosis.explanations.model.noise import correlated
 from limbcli.diagnosis.explanations.probabilities import Explained, PriorOdds, containing, probabilities
 from limbcli.errors import LimbError
+from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
+# Error of an effect's own form, as no model of fat, fibres or a scar matches the limb exactly: a standard
+# deviation that is a fraction of the change by the effect, correlated between neighbouring levels and, in
+# images, over some millimetres, as edges are displaced. All sizes are assumed.
+_SHARE, _ALIKE = 0.05, 0.8  # of the change of forces and mean speeds; correlation between neighbouring levels
+_IN_IMAGE, _WIDE_MM, _ALIKE_IN_IMAGE = 0.15, 4.0, 0.97  # the same in an image, and its correlation length
 _MOST_STEPS = 60  # fits and simulations of one search: far more than any needs
 
 
@@ -188,3 +194,29 @@ class Search:
         self.simulated.add(explanation)
         self.linear.pop(explanation, None)
         self.fitted(fitted)
+
+
+def form_error(data: Data, fitted: Fitted) -> Array | None:
+    """Covariance (n, n) of the error of the effects' own form; None if none of them is approximate."""
+    if fitted.without is None:
+        return None
+    change = np.abs(fitted.prediction - fitted.without)
+    total = np.zeros((len(data), len(data)))
+    for mask in data.channels().values():
+        own = np.where(mask, change, 0.0)
+        if np.all(data.imaged[mask]):
+            total += _in_image(data, _IN_IMAGE * own)
+        else:
+            total += correlated(
+                "form", _SHARE * own, data.order, correlation=_ALIKE, source="assumed"
+            ).covariance
+    return total
+
+
+def _in_image(data: Data, size: Array) -> Array:
+    """Covariance (n, n) of errors with this standard deviation (n,) in one channel's images."""
+    assert data.place is not None
+    x, z = np.nan_to_num(data.place).T
+    apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
+    alike = _ALIKE_IN_IMAGE ** np.abs(np.subtract.outer(data.order, data.order))
+    return np.asarray(np.exp(-0.5 * (apart / _WIDE_MM) ** 2) * alike * np.outer(size, size))

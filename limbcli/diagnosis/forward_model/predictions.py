@@ -15,8 +15,7 @@ from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.joint import joined
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted
-from limbcli.diagnosis.explanations.model.priors import Prior
+from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Prior
 from limbcli.diagnosis.forward_model.changes import only_febio
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.effects.base import Effect, Parameter, Theta

@@ -21,10 +21,10 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Explanation,
     Facts,
     Fitted,
+    Prior,
     Proposal,
     Scalable,
 )
-from limbcli.diagnosis.explanations.model.priors import Prior
 from limbcli.diagnosis.forward_model.fits import Fits
 from limbcli.diagnosis.forward_model.measurement_menu import menu
 from limbcli.diagnosis.forward_model.predictions import NOTHING, Predictions, Slot, held_points
@@ -127,9 +127,8 @@ class SiteForwardModel:
     def verified(self, fitted: Fitted) -> Fitted:
         """Simulate the fitted model, correct the surrogate there and fit again, until the fit converges.
 
-        At most twice with several effects and four times with one. The fit is returned unchanged if the work
-        budget is used up. If it does not converge, it moves to where the surrogate is wrong; the best
-        simulated parameters are then returned.
+        The fit is returned unchanged if the work budget is used up. A fit that does not converge moves to
+        where the surrogate is wrong; the best simulated parameters are then returned.
         """
         explanation, predict = fitted.explanation, self.predictions
         if not any(predict.effects[name].solves for name in explanation):

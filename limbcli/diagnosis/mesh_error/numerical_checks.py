@@ -7,9 +7,10 @@ assumed compressibility, the cut and the contact enter the noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from dataclasses import dataclass, field, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -18,17 +19,11 @@ from limbcli.diagnosis.curves.curve_plan import FIRST_M, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.mesh_error.mesh_comparison import (
-    MeshComparison,
-    Notes,
-    at_depths,
-    change_of,
-)
-from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, START_M, MeshCorrection, own_run
+from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, START_M, own_run
 from limbcli.diagnosis.mesh_error.penetration import LEFT_ERROR, Penetration, penetration
 from limbcli.effects import Effect, effect
 from limbcli.effects.base import Parameter, Theta
-from limbcli.effects.curves import Curves, depth_at, log_force_at
+from limbcli.effects.curves import Curves, depth_at, gaps_filled, log_force_at
 from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
 from limbcli.effects.turn import TURN
@@ -83,6 +78,14 @@ def f_kappa_at(deviations: float) -> float:
     return F_KAPPA / per if per > 0 else float("inf")
 
 
+@dataclass
+class Notes:
+    """Data and warnings collected while preparing a site, to be written with its results."""
+
+    data: dict[str, Any] = field(default_factory=dict)
+    warnings: list[str] = field(default_factory=list)
+
+
 @dataclass(frozen=True, eq=False)
 class Intervention:
     """Result of one numerical check: change of ln force and ln speed at the levels.
@@ -125,45 +128,20 @@ class NumericalChecks:
         smooth = np.maximum(SmoothDepth.through(protocol).at(self.levels.force), 0.0)
         return np.where(np.isfinite(self.levels.depth), smooth, np.nan)
 
-    def correction(self, *, solves: bool = True) -> MeshCorrection:
-        """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`:
-        by simulations."""
-        several = self._compared_at()
-        changed = {  # failures are reported when tried as interventions
-            each.name: where_solved(partial(self._with, each), several)
-            for each in (self._positions() if solves else ())
-        }
-        comparison = MeshComparison(
-            site=self.site, depth=self.depth, simulations=self.simulations, out=self.out, size=self.size,
-            several=several, notes=self.notes, progress=self.progress,
-        )  # fmt: skip
-        freed, held = (changed.get(name, {}) for name in ("crop", FAR_SIDE.name))
-        return comparison.correction(solves=solves, freed=freed, held=held)
-
-    def _positions(self) -> list[Effect]:
+    def positions(self) -> list[Effect]:
         """Freeing the cut, and holding the far side if there is tissue behind the bone (not in a layer on a
         bench)."""
         return [effect("crop"), *([FAR_SIDE] if len(far_side(self.simulations.model)) else [])]
 
-    def _with(self, numerical: Effect, m: float) -> Curves:
+    def curves_with(self, numerical: Effect, m: float) -> Curves:
         return self.simulations.curves(m, ((numerical, numerical.start),))
-
-    def _compared_at(self) -> list[float]:
-        """The values of m to compare, the likely one first; with maps, whose difference between meshes grows
-        with m, also the others of `FIRST_M` that are solved."""
-        likely = self.likely_m
-        if self.site.swe_maps is None:
-            return [likely]
-        return [likely, *where_solved(self.simulations.curves, [m for m in FIRST_M if m != likely])]
-
-    # ------------------------------------------------------------ interventions
 
     def interventions(self) -> list[Intervention]:
         """All numerical checks, made at the likely m, as their effects grow with m."""
         found, m = [], self.likely_m
         turn = (TURN,) if isinstance(self.site.long_axis, str) else ()
         always = (effect("contact"), INCOMPRESSIBILITY, effect("thickness"))
-        for numerical in (*self._positions(), *always, *turn):
+        for numerical in (*self.positions(), *always, *turn):
             self.progress.event("note", text=f"numerical check: {numerical.name}")
             try:
                 found.append(self._intervene(numerical, m))
@@ -180,7 +158,7 @@ class NumericalChecks:
 
     def _intervene(self, numerical: Effect, m: float) -> Intervention:
         plain_curves = self.simulations.curves(m)
-        changed = self._with(numerical, m)
+        changed = self.curves_with(numerical, m)
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
             self.penetration = penetration(plain_curves, changed)
@@ -225,6 +203,19 @@ class NumericalChecks:
         deviation = np.hypot(noise.force, slope * noise.depth)
         size = float(np.max(np.abs(at_levels * self.levels.force) / deviation))
         return Intervention(name, at_levels, speeds, size, note)
+
+
+def change_of(before: Curves, after: Curves) -> tuple[Array, Array]:
+    """Change of ln force (n,), 0 at depth 0, and of ln speeds (n, n_parts), between curves of the same
+    depths."""
+    change = np.zeros(len(before.depth))
+    change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
+    return change, gaps_filled(after.log_speed - before.log_speed)
+
+
+def at_depths(depth: Array, curves: Curves, table: Array) -> Array:
+    """Interpolate a table over the curves' depths to other depths."""
+    return np.array([np.interp(depth, curves.depth, column) for column in table.T]).T
 
 
 def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:

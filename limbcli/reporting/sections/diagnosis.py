@@ -67,7 +67,7 @@ def _against_the_fit(data: Mapping[str, Any], fit: FitView | None) -> tuple[str,
     """Why c and m of the diagnosis without any effect are not those of the fit."""
     base, step = next(iter(data["shrink"]), None), fit.last if fit else None
     m = step.estimate("m") if step else None
-    if base is None or step is None or m is None or "m" not in base["values"]:
+    if base is None or step is None or m is None or "m" not in base.get("open_ends", ()):
         return ()
     channels = ", ".join(base["rms"])
     return (
@@ -158,17 +158,16 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
 
 
 def _interval(stage: Mapping[str, Any], name: str) -> str:
-    """Value and interval, without ends that the data leave open; "" for an older result without intervals.
+    """Value and interval, without ends that the data leave open; a dash for an older result without these.
 
-    >>> stage = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}}
-    >>> _interval(stage, "m"), _interval({**stage, "not_told_by_the_data": ["m below"]}, "m")
+    >>> stage = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}, "open_ends": {"m": [False, False]}}
+    >>> _interval(stage, "m"), _interval({**stage, "open_ends": {"m": [True, False]}}, "m")
     ('3.90 (1.00 to 6.20)', '3.90 (up to 6.20)')
     """
-    ends = stage.get("intervals_95", {}).get(name)
-    if ends is None:
+    ends, open_ends = (stage.get(key, {}).get(name) for key in ("intervals_95", "open_ends"))
+    if ends is None or open_ends is None:
         return DASH
-    symbol, undetermined = name.partition("_")[0], stage.get("not_told_by_the_data", ())
-    below, above = f"{symbol} below" in undetermined, f"{symbol} above" in undetermined
+    below, above = open_ends
     reach = f"{ends[0]:.2f} to {ends[1]:.2f}"
     if below or above:
         reach = "open" if below and above else f"up to {ends[1]:.2f}" if below else f"from {ends[0]:.2f}"

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.case import Case, Site
+from limbcli.effects import EFFECTS
 from limbcli.errors import FitError, MeasurementError
 from limbcli.errors.problems import raise_errors
 from limbcli.measurement.elastography import check_width, map_file, read_map
@@ -26,7 +27,7 @@ from limbcli.stiffness_field import Interval, MapReading, SiteReading, map_readi
 _KEYS = {"c_kpa": "c", "m": "m", "f_kappa": "f_kappa"}
 _OF_FIT = (*_KEYS, "interval_95", "correlation")  # what the readings are made from
 _OF_DIAGNOSIS = ("added", "shrink")
-_OF_SPEEDS = "swe-"  # names of the effects by which speeds are misread
+_MISREAD = {each.name for each in EFFECTS if each.kind == "swe"}  # effects by which speeds are misread
 _MOST_CORRELATED = 0.98
 _DEEP_MM = 30.0  # region of a site without bone below it
 
@@ -94,7 +95,7 @@ def _add(
             writer.used_result(used, data=_OF_FIT if used is fit else _OF_DIAGNOSIS)
             writer.used_result(mesh, data=["frame", "checks/skin_bone_mm"])
     if site.swe_maps is not None:
-        misread = [name for name in added if name.startswith(_OF_SPEEDS)]
+        misread = [name for name in added if name in _MISREAD]
         if misread:
             found.left_out[f"map of {site.name}"] = f"its diagnosis named {', '.join(misread)}"
         elif isinstance(read := _map_at_rest(site, mesh, writer, has_c=used is not None), str):

@@ -38,15 +38,14 @@ _ENDS = (0.5 * (1.0 - decisions.CREDIBLE), 0.5 * (1.0 + decisions.CREDIBLE))
 class Estimates:
     """Reported values and 95 % intervals.
 
-    open : "m below", "m above", "c below", "c above" where an interval reaches a limit of the search
-    over : number of explanations that were averaged; prior : of m, in words
+    open : by parameter, which ends (low, high) of its interval are limits of the search
+    over : number of explanations that were averaged
     """
 
     values: Mapping[str, float]
     intervals: Intervals = field(default_factory=dict)
-    open: tuple[str, ...] = ()
+    open: Mapping[str, tuple[bool, bool]] = field(default_factory=dict)
     over: int = 1
-    prior: str = PRIOR
 
 
 def estimates(several: Sequence[tuple[float, Posterior]], *, imaged: bool = True) -> Estimates:
@@ -56,7 +55,7 @@ def estimates(several: Sequence[tuple[float, Posterior]], *, imaged: bool = True
     imaged : whether there are maps among the data
     """
     fitted = several[0][1].fitted
-    values, intervals, open_ends = dict(fitted.values), {}, []
+    values, intervals, open_ends = dict(fitted.values), {}, {}
     for k, letter in enumerate(fitted.base_names):
         name = TISSUE.get(letter)
         if name is None:
@@ -66,17 +65,13 @@ def estimates(several: Sequence[tuple[float, Posterior]], *, imaged: bool = True
         free = [Truncated(w, at + p.step[k], float(np.hypot(p.deviation[k], beside))) for w, p, at in members]
         low, middle, high = quantiles(free, (_ENDS[0], 0.5, _ENDS[1]))
         bounds = [members[0][2] + float(end[k]) for end in (fitted.priors.low, fitted.priors.high)]
-        open_ends += [
-            f"{letter} {side}"
-            for side, out in (("below", low <= bounds[0]), ("above", high >= bounds[1]))
-            if out
-        ]
+        open_ends[name] = (low <= bounds[0], high >= bounds[1])
         low, middle, high = (math.exp(min(max(x, bounds[0]), bounds[1])) for x in (low, middle, high))
         values[name], intervals[name] = middle, (low, high)
     for name in fitted.effect_names:
         found = [_size(w, p, name) for w, p in several if name in p.fitted.effect_names]
         (values[name],), intervals[name] = quantiles(found, (0.5,)), shortest(found, decisions.CREDIBLE)
-    return Estimates(values, intervals, tuple(open_ends), len(several))
+    return Estimates(values, intervals, open_ends, len(several))
 
 
 def _size(weight: float, found: Posterior, name: str) -> Truncated:

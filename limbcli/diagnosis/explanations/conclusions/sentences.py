@@ -126,7 +126,8 @@ def _whichever(estimates: Estimates) -> str:
 def _tissue(estimates: Estimates) -> str:
     """Values and intervals of c and m with the named effect, with sides that the data leave open.
 
-    >>> _tissue(Estimates({"c_kpa": 6.0, "m": 3.5}, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, ("m below",)))
+    >>> values, open_ends = {"c_kpa": 6.0, "m": 3.5}, {"m": (True, False)}
+    >>> _tissue(Estimates(values, {"c_kpa": (5.5, 6.5), "m": (1.0, 5.0)}, open_ends))
     '; then c 6.00 kPa (5.50 to 6.50), m 3.50 (up to 5.00: no lower limit from these data)'
     """
     if "c_kpa" not in estimates.intervals or "m" not in estimates.intervals:
@@ -138,11 +139,11 @@ def _tissue(estimates: Estimates) -> str:
 def _reach(estimates: Estimates, name: str, unit: str = "") -> str:
     """An interval in words, with the sides that the data leave open.
 
-    >>> _reach(Estimates({}, {"c_kpa": (0.4, 9.0)}, ("c below", "c above")), "c_kpa")
+    >>> _reach(Estimates({}, {"c_kpa": (0.4, 9.0)}, {"c_kpa": (True, True)}), "c_kpa")
     'not determined by the data'
     """
-    (low, high), symbol = estimates.intervals[name], name.partition("_")[0]
-    below, above = f"{symbol} below" in estimates.open, f"{symbol} above" in estimates.open
+    low, high = estimates.intervals[name]
+    below, above = estimates.open.get(name, (False, False))
     if below and above:
         return "not determined by the data"
     if below:

@@ -45,22 +45,21 @@ def force_jump(data: Data, base: Fitted, *, explained: float) -> ForceJump | Non
 
     base : the fit without effects; explained : chi2 by which the chosen effects reduce its misfit
 
-    To first order in the base parameters. The place of a jump is chosen among those between all levels:
-    its p is multiplied by their number, and 2 ln(their number) is taken off its chi2.
+    To first order in the base parameters; not of several measurements together. The place of a jump is chosen
+    among those between all levels: its p is multiplied by their number, and 2 ln(their number) is taken off
+    its chi2.
     """
     whiten = Whitener.of(data.noise.covariance)
     fit = LinearFit.of(whiten(data.y - base.prediction), whiten(base.jacobian))
     left = fit.project(fit.residual)
     found: list[ForceJump] = []
-    for name, mask in data.all_series().items():
-        if not name.endswith("force"):
-            continue
-        for level in np.unique(data.order[mask])[_FEWEST : 1 - _FEWEST]:
-            step = fit.project(whiten((mask & (data.order >= level)).astype(float)))
-            length = float(step @ step)
-            if length > 0.0:
-                pull = float(step @ left)
-                found.append(ForceJump(pull / length, int(level), pull**2 / length))
+    mask = data.channels().get("force", np.zeros(len(data), dtype=bool))
+    for level in np.unique(data.order[mask])[_FEWEST : 1 - _FEWEST]:
+        step = fit.project(whiten((mask & (data.order >= level)).astype(float)))
+        length = float(step @ step)
+        if length > 0.0:
+            pull = float(step @ left)
+            found.append(ForceJump(pull / length, int(level), pull**2 / length))
     best = max(found, key=lambda each: each.chi2, default=None)
     if best is None or best.chi2 < chdtri(1, decisions.CHECKED / len(found)):
         return None

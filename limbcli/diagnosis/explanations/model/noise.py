@@ -16,6 +16,7 @@ Robinson 1991, Stat Sci 6:15 (best linear unbiased prediction of the common unkn
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -61,9 +62,10 @@ class NoisePart:
 
 @dataclass(frozen=True, eq=False)
 class Noise:
-    """Noise as the sum of independent parts."""
+    """Noise as the sum of independent parts; stated : source of the measurement's own noise."""
 
     parts: tuple[NoisePart, ...]
+    stated: str = ""
 
     @cached_property
     def covariance(self) -> Array:
@@ -77,16 +79,19 @@ class Noise:
 
     def with_share(self, name: str, share: float) -> Noise:
         """The noise with the standard deviation of part `name` scaled by the estimated `share`."""
-        return Noise(tuple(part.scaled(share) if part.name == name else part for part in self.parts))
+        return self._of(part.scaled(share) if part.name == name else part for part in self.parts)
 
     def with_part(self, new: NoisePart) -> Noise:
         """The noise with the part of this name replaced."""
-        return Noise(tuple(new if part.name == new.name else part for part in self.parts))
+        return self._of(new if part.name == new.name else part for part in self.parts)
+
+    def _of(self, parts: Iterable[NoisePart]) -> Noise:
+        return Noise(tuple(parts), self.stated)
 
     @property
     def is_assumed(self) -> bool:
         """Whether the measurement's own noise is only assumed, so that no absolute test is possible."""
-        return any(part.source == ASSUMED and part.name.startswith("measurement") for part in self.parts)
+        return self.stated == ASSUMED
 
     def provenance(self) -> list[dict[str, str]]:
         return [{"part": part.name, "source": part.source} for part in self.parts]

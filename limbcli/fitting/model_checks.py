@@ -1,4 +1,8 @@
-"""Effect of the model's boundaries on the force: solve the fitted model again with other ones.
+"""Effect of the contact and of the model's boundaries on the force: solve the fitted model again with others.
+
+A penalty contact lets the probe penetrate the skin. The penalty is a multiple of the tissue's stiffness at
+rest, so where the tissue stiffens (large m, large depth) the penetration grows and the force is too low,
+for which the fit compensates with a larger m.
 
 A model is held where it was cut from the limb, and its far side is free. A limb gives way beyond the cut, so
 that the force is too high, and where its far side rests on something the force is too low. No column of a
@@ -28,6 +32,8 @@ from limbcli.numbers.significant_digits import short
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageWriter
 
+HARDER = 4.0  # penalty of the check, as a multiple of the model's
+MATTERS = 0.05  # relative change of force above which a warning is given; below it the mesh error is larger
 _SHARE = 0.5  # standard deviation of ln force, as a share of what the other boundary changes
 _FAR = 2.0  # factor on a parameter up to which its linear estimate is given
 
@@ -133,11 +139,8 @@ def write_boundary_check(
     parameters : ratio of forces (n_reached,) -> the parameters with which that model fits the same data
     site : name of the site, in a fit of several sites, each of which has its own check
     """
-    data, at = writer.data, ""
-    if site is not None:
-        data, at = writer.data.setdefault("boundary_check", {}), f"{site}: "
-    found: dict[str, dict[str, object]] = {}
-    data["boundary_check" if site is None else site] = found
+    at, found = "" if site is None else f"{site}: ", dict[str, dict[str, object]]()
+    _write("boundary_check", site, found, writer)
     for each in changed:
         boundary, ratio = each.boundary, each.ratio
         if ratio is None:
@@ -160,6 +163,51 @@ def write_boundary_check(
         writer.summary.append(
             f"{at}{boundary.words}, the force would be {words} at {depths[worst]:.1f} mm"
             + (f" (about {fits} would then fit)" if fits else "")
+        )
+
+
+def _write(check: str, site: str | None, content: Mapping[str, object], writer: StageWriter) -> None:
+    """Write a check of a fit, or that of one site in a fit of several."""
+    if site is None:
+        writer.data[check] = content
+    else:
+        writer.data.setdefault(check, {})[site] = content
+
+
+def write_contact_check(
+    penalty: float, forces: Array, depths: Array, harder: Callable[[float], Array], writer: StageWriter, *,
+    site: str | None = None, progress: Progress = SILENT,
+) -> None:  # fmt: skip
+    """Write `contact_check` of a fit, a line of the summary, and a warning if the change exceeds `MATTERS`.
+
+    penalty, forces (n_levels,), depths (n_levels,) : of the fitted model
+    harder : penalty -> forces (n_reached,) of the same model; raises SolveError
+    site : name of the site, in a fit of several sites, each of which has its own check
+    """
+    at = "" if site is None else f"{site}: "
+    progress.event("note", text=f"the fitted model with {HARDER:g} times the contact's penalty")
+    reported = {"penalty": penalty, "tried": HARDER * penalty, "depths_mm": depths}
+    try:
+        found_forces = harder(HARDER * penalty)
+    except SolveError as error:
+        _write("contact_check", site, {**reported, "not_evaluated": error.what}, writer)
+        writer.warnings.append(f"{at}the force lost to contact penetration was not evaluated: {error.what}")
+        return
+    n = len(found_forces)
+    change = found_forces / np.maximum(forces[:n], 1e-9) - 1.0
+    content = {**reported, "depths_mm": depths[:n], "force_change_fraction": change}
+    _write("contact_check", site, content, writer)
+    worst = int(np.argmax(np.abs(change)))
+    words = f"with a contact {HARDER:g} times as stiff the force changes by {100 * change[worst]:+.1f} %"
+    where = f"at {depths[worst]:.1f} mm"
+    if n < len(depths):
+        where += f" (evaluated down to {depths[n - 1]:.1f} mm)"
+    writer.summary.append(f"{at}{words} {where}")
+    if abs(change[worst]) > MATTERS:
+        writer.warnings.append(
+            f"{at}the probe sinks into the skin: {words} {where}, and f_kappa and m make up for it. Build "
+            f"the model with --contact-penalty {HARDER * penalty:g} and fit again (FEBio may need smaller "
+            "steps then)"
         )
 
 
