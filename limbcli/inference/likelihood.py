@@ -64,7 +64,7 @@ class Place:
         own[c_row] = -np.log(c0)
         if offset is None or factors is None:
             return Place(own, rows)
-        return Place(np.r_[own, offset], np.vstack([rows, factors]))
+        return Place(np.concatenate([own, offset]), np.vstack([rows, factors]))
 
     def __call__(self, theta: Array) -> tuple[float, float, Array]:
         """Factor on c, gain, and the curve's parameters (n_place,)."""
@@ -140,7 +140,7 @@ class SiteBlock:
         even, even_by = self.even_speed(place)
         speeds = known[n : 2 * n] * np.exp(even)
         slopes = (by_log[n : 2 * n] + even_by) * speeds[:, None] / place
-        of_state = Prediction(np.r_[known[:n], speeds], np.vstack([answer.jacobian[:n], slopes]))
+        of_state = Prediction(np.concatenate([known[:n], speeds]), np.vstack([answer.jacobian[:n], slopes]))
         rest = even + float(np.log(known[2 * n])), even_by + by_log[2 * n]
         return predict_site(
             lambda _theta, _wrt=(): of_state, self.data, place, c_ratio=c_ratio, gain=gain,

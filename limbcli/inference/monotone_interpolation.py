@@ -77,8 +77,18 @@ class Monotone:
         >>> curve.read(np.array([1.5])).weights
         array([[-0.125,  0.75 ,  0.375]])
         """
-        piece = self._piece(at)
-        return Sample(self._values(*piece), self._rates(*piece), self._weights(*piece))
+        at = np.ascontiguousarray(at, dtype=float)
+        found = Sample(np.empty(len(at)), np.empty(len(at)), np.empty((len(at), len(self.knots))))
+        _read(*self._arrays, at, found.values, found.slopes, found.weights)
+        return found
+
+    @property
+    def _arrays(self) -> tuple[Array, Array, Array]:
+        """Knots, values and slopes of one curve as the compiled loops take them."""
+        knots, values, slopes = (
+            np.ascontiguousarray(each, dtype=float) for each in (self.knots, self.values, self.slopes)
+        )
+        return knots, values, slopes
 
     def _values(self, k: IntArray, t: Array, h: Array) -> Array:
         y0, y1, d0, d1 = self.values[k], self.values[k + 1], self.slopes[k], self.slopes[k + 1]
@@ -89,14 +99,6 @@ class Monotone:
         rise = (y1 - y0) / h
         return np.asarray(6 * t * (1 - t) * rise + (1 - t) * (1 - 3 * t) * d0 + t * (3 * t - 2) * d1)
 
-    def _weights(self, k: IntArray, t: Array, h: Array) -> Array:
-        s, rows, by_values = 1.0 - t, np.arange(len(k)), _slope_weights(self.knots, self.values, self.slopes)
-        out = (s * s * t * h)[:, None] * by_values[k] - (t * t * s * h)[:, None] * by_values[k + 1]
-        low = s * s * (1 + 2 * t)
-        out[rows, k] += low
-        out[rows, k + 1] += 1.0 - low
-        return np.asarray(out)
-
     def inverse(self, wanted: Array) -> Array:
         """Positions (n,) at which one curve with increasing values takes the values `wanted`.
 
@@ -105,10 +107,9 @@ class Monotone:
         >>> Monotone.through(np.arange(4.0), 2 * np.arange(4.0)).inverse(np.array([0.0, 3.0, 9.0])).round(9)
         array([0. , 1.5, 3. ])
         """
-        curve = (np.ascontiguousarray(each, dtype=float) for each in (self.knots, self.values, self.slopes))
         wanted = np.ascontiguousarray(wanted, dtype=float)
         out = np.empty(len(wanted))
-        _inverse(*curve, wanted, out)
+        _inverse(*self._arrays, wanted, out)
         return out
 
     def _piece(self, at: Array | float) -> tuple[IntArray, Array, Array]:
@@ -175,42 +176,6 @@ def _slopes(knots: Array, values: Array) -> Array:
     out = np.empty_like(columns)
     _slopes_of_columns(np.ascontiguousarray(knots, dtype=float), columns, out)
     return out.reshape(values.shape)
-
-
-def _slope_weights(knots: Array, values: Array, slopes: Array) -> Array:
-    """Derivative of the slopes with respect to the values (n, n) at the knots of one curve."""
-    n, h = len(knots), knots[1:] - knots[:-1]
-    out = np.zeros((n, n))
-    if n == 2:
-        out[:, 0], out[:, 1] = -1 / h[0], 1 / h[0]
-        return out
-    rise, inner = (values[1:] - values[:-1]) / h, slopes[1:-1]
-    w1, w2 = 2 * h[1:] + h[:-1], h[1:] + 2 * h[:-1]
-    # derivatives of d = (w1 + w2) / (w1/before + w2/after) with respect to the secants before and after, each
-    # divided by its h
-    steep = np.where(rise == 0.0, 1.0, rise) ** 2 * h  # the slope d is 0 there
-    part = inner * inner / (w1 + w2)
-    before, after = part * w1 / steep[:-1], part * w2 / steep[1:]
-    flat = out.ravel()
-    flat[n :: n + 1] = [*-before, 0.0]
-    flat[n + 1 :: n + 1][: n - 2] = before - after
-    flat[n + 2 :: n + 1] = after
-    (h0, h1, h2, h3), (m0, m1, m2, m3) = ((*each[:2].tolist(), *each[-2:].tolist()) for each in (h, rise))
-    near, far = _end_weights(h0, h1, m0, m1)
-    out[0, :3] = -near / h0, near / h0 - far / h1, far / h1
-    near, far = _end_weights(h3, h2, m3, m2)
-    out[-1, -3:] = -far / h2, far / h2 - near / h3, near / h3
-    return out
-
-
-def _end_weights(h0: float, h1: float, m0: float, m1: float) -> tuple[float, float]:
-    """Derivatives of `_end_slope` with respect to the two secant slopes."""
-    d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
-    if d * m0 <= 0.0:
-        return 0.0, 0.0
-    if m0 * m1 < 0.0 and abs(d) > 3 * abs(m0):
-        return 3.0, 0.0
-    return (2 * h0 + h1) / (h0 + h1), -h0 / (h0 + h1)
 
 
 def columns_through(knots: Array, values: Array, at: Array) -> Array:
@@ -317,6 +282,69 @@ def _slopes_of(x, y, n, out):  # type: ignore[no-untyped-def]
             out[n - 1] = _end_slope(after, before, next_rise, rise)
         w1, w2 = 2 * after + before, after + 2 * before
         out[k] = (w1 + w2) / (w1 / rise + w2 / next_rise) if rise * next_rise > 0 else 0.0
+
+
+@_kernel
+def _end_weights(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
+    """Derivatives of `_end_slope` with respect to the two secant slopes."""
+    d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
+    if d * m0 <= 0.0:
+        return 0.0, 0.0
+    if m0 * m1 < 0.0 and abs(d) > 3 * abs(m0):
+        return 3.0, 0.0
+    return (2 * h0 + h1) / (h0 + h1), -h0 / (h0 + h1)
+
+
+@_kernel
+def _add_slope_weights(x, y, slope, k, times, out):  # type: ignore[no-untyped-def]
+    """out (n,) += times the derivative of the slope at knot k with respect to the values at all knots."""
+    n = len(x)
+    if n == 2:
+        out[0] -= times / (x[1] - x[0])
+        out[1] += times / (x[1] - x[0])
+        return
+    # a, b: derivatives with respect to the secants before and after, each divided by its interval
+    if 0 < k < n - 1:
+        middle, before, after = k, x[k] - x[k - 1], x[k + 1] - x[k]
+        rise, next_rise = (y[k] - y[k - 1]) / before, (y[k + 1] - y[k]) / after
+        w1, w2 = 2 * after + before, after + 2 * before
+        part = slope[k] ** 2 / (w1 + w2)  # 0 where a secant is
+        a = part * w1 / ((rise if rise != 0.0 else 1.0) ** 2 * before)
+        b = part * w2 / ((next_rise if next_rise != 0.0 else 1.0) ** 2 * after)
+    else:
+        middle = 1 if k == 0 else n - 2
+        before, after = x[middle] - x[middle - 1], x[middle + 1] - x[middle]
+        rise, next_rise = (y[middle] - y[middle - 1]) / before, (y[middle + 1] - y[middle]) / after
+        if k == 0:
+            near, far = _end_weights(before, after, rise, next_rise)
+            a, b = near / before, far / after
+        else:
+            near, far = _end_weights(after, before, next_rise, rise)
+            a, b = far / before, near / after
+    out[middle - 1] -= times * a
+    out[middle] += times * (a - b)
+    out[middle + 1] += times * b
+
+
+@_kernel
+def _read(knots, values, slopes, at, value, rate, weights):  # type: ignore[no-untyped-def]
+    n = len(knots)
+    for i in range(len(at)):
+        k = 0
+        while k < n - 2 and at[i] >= knots[k + 1]:
+            k += 1
+        h = knots[k + 1] - knots[k]
+        t = (at[i] - knots[k]) / h
+        s = 1.0 - t
+        y0, y1, d0, d1 = values[k], values[k + 1], slopes[k], slopes[k + 1]
+        value[i] = _hermite(y0, y1, d0, d1, h, t)
+        rate[i] = 6 * t * s * ((y1 - y0) / h) + s * (1 - 3 * t) * d0 + t * (3 * t - 2) * d1
+        row = weights[i]
+        row[:] = 0.0
+        low = s * s * (1 + 2 * t)
+        row[k], row[k + 1] = low, 1.0 - low
+        _add_slope_weights(knots, values, slopes, k, s * s * t * h, row)
+        _add_slope_weights(knots, values, slopes, k + 1, -t * t * s * h, row)
 
 
 @_kernel

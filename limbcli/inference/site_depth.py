@@ -103,10 +103,10 @@ def predict_site(
     n, answer = len(data.knots), curve(shape, tuple(range(len(shape))))
     assert answer.jacobian is not None
     by_log = answer.jacobian * shape
-    knots = np.r_[0.0, data.knots]
-    force = np.r_[0.0, answer.values[:n]] * c_ratio * gain
+    knots = np.concatenate([[0.0], data.knots])
+    force = np.concatenate([[0.0], answer.values[:n]]) * c_ratio * gain
     force_by = np.vstack([np.zeros(len(shape)), by_log[:n]]) * c_ratio * gain
-    wanted, m = np.r_[data.force, data.speed_force, data.layers.force], len(data.force)
+    wanted, m = np.concatenate([data.force, data.speed_force, data.layers.force]), len(data.force)
     reached = invert(knots, force, wanted)
     stiffness, reached_by = _implicit(knots, force, force_by, reached, wanted)
     of_speeds, of_layers = slice(m, m + len(data.speed_force)), slice(m + len(data.speed_force), None)
@@ -122,7 +122,7 @@ def predict_site(
         )
     rest, rest_by = log_speed_0(shape) if callable(log_speed_0) else (log_speed_0, np.zeros(len(shape)))
     of_curve = slice(n, 2 * n)
-    speed = np.r_[rest, np.log(answer.values[of_curve])]
+    speed = np.concatenate([[rest], np.log(answer.values[of_curve])])
     speed_by = np.vstack([rest_by, by_log[of_curve] / answer.values[of_curve, None]])
     sample = pchip_sample(knots, speed, np.clip(at, 0.0, knots[-1]))
     slope = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
@@ -141,7 +141,7 @@ def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Ar
 
     def at(place: Array) -> tuple[float, Array]:
         known = log_speed_0(place[1:]) if callable(log_speed_0) else (log_speed_0, np.zeros(len(place) - 1))
-        return known[0] + 0.5 * float(np.log(place[0])), np.r_[0.5, known[1]]
+        return known[0] + 0.5 * float(np.log(place[0])), np.concatenate([[0.5], known[1]])
 
     return at
 

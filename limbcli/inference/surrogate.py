@@ -15,6 +15,7 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
 from limbcli.model import Array
+from limbcli.numbers.compiled import njit
 
 _LENGTHS = (0.5, 0.9, 1.6, 2.8, 5.0)  # candidate length scales in ln theta
 _NUGGET = 1e-9  # added to the covariance's diagonal, relative to it
@@ -55,18 +56,18 @@ class Surrogate:
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
         """ln value (q,) and its derivative (q, p)."""
-        model, p = self._model, len(x)
-        cross = self._covariance(x[None], self._x, model.lengths, graded_a=np.array([True]))
-        basis = np.vstack([np.r_[1.0, x], np.eye(p + 1)[1:]])
-        answer = cross @ model.weights + basis @ model.trend
-        return answer[0], answer[1:].T
+        model, q = self._model, self._targets.shape[1]
+        value, slope = np.empty(q), np.empty((q, len(x)))
+        x = np.ascontiguousarray(x, dtype=float)
+        _predict(x, self._x, model.lengths, self._graded, model.weights, model.trend, value, slope)
+        return value, slope
 
     def deviation(self, x: Array) -> Array:
         """Standard deviation of ln value at x: (q,)."""
         model = self._model
         cross = self._covariance(x[None], self._x, model.lengths)[0]
         spread = 1.0 - cross @ cho_solve(model.factor, cross)
-        leftover = np.r_[1.0, x] - model.solved_basis.T @ cross
+        leftover = np.concatenate([[1.0], x]) - model.solved_basis.T @ cross
         spread += leftover @ np.linalg.solve(model.information, leftover)
         return np.sqrt(max(float(spread), 0.0)) * model.amplitude
 
@@ -143,3 +144,39 @@ def _thinned(nodes: Sequence[Node]) -> tuple[Node, ...]:
         if all(np.max(np.abs(node.x - other.x)) > _SAME for other in kept):
             kept.append(node)
     return tuple(reversed(kept))
+
+
+@njit
+def _predict(x, nodes, lengths, graded, weights, trend, value, slope):  # type: ignore[no-untyped-def]
+    """ln values (q,) and their slopes (q, p) at x: the trend, and weights times the covariances with the
+    values of all nodes and then the gradients of the graded ones."""
+    n, p = nodes.shape
+    q = len(value)
+    for c in range(q):
+        value[c] = trend[0, c]
+        for j in range(p):
+            value[c] += trend[1 + j, c] * x[j]
+            slope[c, j] = trend[1 + j, c]
+    scaled, row = np.empty(p), n
+    for i in range(n):
+        square = 0.0
+        for j in range(p):
+            away = (x[j] - nodes[i, j]) / lengths[j]
+            square += away * away
+            scaled[j] = away / lengths[j]
+        kernel = np.exp(-0.5 * square)
+        for c in range(q):
+            part = kernel * weights[i, c]
+            value[c] += part
+            for j in range(p):
+                slope[c, j] -= scaled[j] * part
+        if not graded[i]:
+            continue
+        for k in range(p):
+            for c in range(q):
+                part = kernel * weights[row, c]
+                value[c] += scaled[k] * part
+                slope[c, k] += part / lengths[k] ** 2
+                for j in range(p):
+                    slope[c, j] -= scaled[j] * scaled[k] * part
+            row += 1
