@@ -196,11 +196,11 @@ class System(RigidLoads, ElementLoops):
             acting = (held, contact, applied[:, :3], loads)
             scale = np.sqrt(sum((each**2).sum() for each in acting))
         scale = max(float(scale), self.least_force)
-        mixed = residual
+        iterated = residual
         if state.volumes:
-            mixed = residual.copy()
-            mixed[: self.n_tissue] += self.volume_force(state)[self.free]
-        return Forces(nodal, bodies, residual, scale, touching, worst, place, mixed)
+            iterated = residual.copy()
+            iterated[: self.n_tissue] += self.volume_force(state)[self.free]
+        return Forces(nodal, bodies, residual, scale, touching, worst, place, iterated)
 
     # ------------------------------------------------------------ tangent
 

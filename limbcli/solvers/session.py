@@ -403,8 +403,8 @@ def _table_differences(
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the loading path, not only on the load."""
     viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
-    by_the_way = viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
-    return by_the_way or model.goes_on_from_steps
+    augmented = any(each.augmented for each in model.contacts)
+    return viscoelastic or model.has_friction or augmented or model.goes_on_from_steps
 
 
 def _named_body(model: LimbModel, name: str) -> str:

@@ -146,13 +146,13 @@ def test_residuals_that_come_in_turns_are_seen_and_falling_ones_are_not():
         return stagnation
 
     turns = noted(0.1, 2.7e-3, 1.95e-3, 2.71e-3, 1.951e-3)
-    assert turns.goes_round
+    assert turns.repeats
     assert turns.state is not None
     assert turns.state.time == 2.0
-    assert not noted(0.1, 2.7e-3, 1.95e-3, 1.4e-3, 1.2e-3).goes_round
-    assert not noted(0.1, 0.27, 0.195, 0.27, 0.195).goes_round  # too large to do, and yet it may end
-    assert noted(0.1, *[0.27, 0.195] * 6).goes_round, "twelve in turn lead nowhere"
-    assert not noted(*[0.27 * 0.95**k for k in range(20)]).goes_round
+    assert not noted(0.1, 2.7e-3, 1.95e-3, 1.4e-3, 1.2e-3).repeats
+    assert not noted(0.1, 0.27, 0.195, 0.27, 0.195).repeats  # too large to do, and yet it may end
+    assert noted(0.1, *[0.27, 0.195] * 6).repeats, "twelve in turn lead nowhere"
+    assert not noted(*[0.27 * 0.95**k for k in range(20)]).repeats
 
 
 def test_a_solve_afresh_depends_on_nothing_but_the_levels_that_lead():

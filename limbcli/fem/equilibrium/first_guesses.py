@@ -34,7 +34,7 @@ def _ratios(system: System, state: State) -> tuple[Array, ...]:
     return state.volumes or system.linear_volumes(state, np.zeros_like(state.u))
 
 
-def extrapolate(system: System, states: list[State], time: float) -> State:
+def extrapolate(system: System, states: Sequence[State], time: float) -> State:
     """Initial guess by polynomial extrapolation of converged states; volume ratios likewise."""
     *along, aim = _coordinate(system, states, time)
     weights = lagrange(np.array(along), aim)
@@ -53,7 +53,7 @@ def extrapolate(system: System, states: list[State], time: float) -> State:
     return replace(guess, volumes=volumes)
 
 
-def _coordinate(system: System, states: list[State], time: float) -> list[float]:
+def _coordinate(system: System, states: Sequence[State], time: float) -> list[float]:
     """The extrapolation variable: its values at the states and at `time`.
 
     The path length of the driven bodies if their path is straight, because a load curve may have kinks in

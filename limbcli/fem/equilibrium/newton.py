@@ -8,7 +8,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.linearised import Linearised
-from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings, WorkLimit
+from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings, WorkMeter
 from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.fem.system import System
@@ -33,22 +33,16 @@ class NotConverged(SolveError):
 class Newton:
     """Newton solver of one system; keeps its tangent and factor between times.
 
-    mixed : whether independent volume ratios are in use (see `with_volumes`)
-    nearest : smallest relative residual (`Forces.mixed`) of the last attempt, and its state
+    volume_ratios : whether independent volume ratios are in use (see `with_volumes`)
+    nearest : smallest relative residual (`Forces.iterated`) of the last attempt, and its state
     """
 
     def __init__(self, system: System, settings: Settings, progress: Progress = SILENT):
         self.system, self.settings, self.progress = system, settings, progress
         self.counts = Counts()
         self.linearised = Linearised(system, settings, self.counts)
-        self.mixed = settings.mixed
+        self.volume_ratios = settings.volume_ratios
         self.nearest: tuple[float, State | None] = (np.inf, None)
-        self._limit: WorkLimit | None = None
-        self._charged = 0, 0  # Krylov products and factorisations of which the limit has been told
-
-    def charge_to(self, limit: WorkLimit | None) -> None:
-        """Charge all further work to this limit."""
-        self._limit, self._charged = limit, (self.counts.krylov, self.counts.factorisations)
 
     @property
     def linear_name(self) -> str:
@@ -94,7 +88,7 @@ class Newton:
         method in displacements and pressures, with the pressures eliminated (Magisano, Leonetti and Garcea
         2017, Comput. Methods Appl. Mech. Eng. 313, 986-1005, do so with all stresses).
         """
-        if not self.mixed:
+        if not self.volume_ratios:
             return guess
         return replace(guess, volumes=self.system.linear_volumes(state, guess.u - state.u))
 
@@ -106,12 +100,14 @@ class Newton:
         forces: Forces | None = None,
         tolerance: float | None = None,
         patient: bool = True,
+        meter: WorkMeter | None = None,
     ) -> tuple[State, Forces]:
         """Solve for equilibrium from an initial guess; raises NotConverged.
 
         forces : forces at the guess, if these were the last ones evaluated
         tolerance : relative residual, in place of the settings', for an intermediate increment
         patient : False gives up early if a shorter step is more promising
+        meter : charged with the work of every iteration
         """
         system, settings = self.system, self.settings
         target = settings.tolerance if tolerance is None else tolerance
@@ -124,18 +120,18 @@ class Newton:
         self.nearest = np.inf, None
         renew, stagnation = True, Stagnation(settings.stalled)
         for iteration in range(settings.max_iterations + 1):
-            self.report(load_step, iteration, forces)
+            self.report(load_step, iteration, forces, meter)
             self.note(stagnation, state, forces)
-            left = norm(forces.mixed) / max(forces.scale, 1e-14)
+            left = norm(forces.iterated) / max(forces.scale, 1e-14)
             if forces.worst > 0 and left < self.nearest[0]:
                 self.nearest = left, replace(state, hints=system.hints())
             if self.is_reached(forces, target):
                 return self.accepted(state, forces, load_step, iteration)
-            if iteration == settings.max_iterations or stagnation.goes_round:
+            if iteration == settings.max_iterations or stagnation.repeats:
                 break
-            sizes.append(norm(forces.mixed) / max(forces.scale, 1e-14))
+            sizes.append(norm(forces.iterated) / max(forces.scale, 1e-14))
             if not patient and _too_long(sizes):
-                if stagnation.will_do:
+                if stagnation.is_acceptable:
                     break
                 raise self.failure(state, forces, load_step, iteration, "the step is too long")
             self.counts.iterations += 1
@@ -145,7 +141,7 @@ class Newton:
             if length == 0.0 and renew:
                 break
             renew = forces.error > settings.renew_ratio * before
-        if stagnation.will_do:
+        if stagnation.is_acceptable:
             return self.accepted(*self.least_of(stagnation), load_step, iteration)
         raise self.failure(state, forces, load_step, iteration, "Newton's method made no further progress")
 
@@ -181,7 +177,7 @@ class Newton:
             linearised.refresh(state, forces.nodal)
         elif renew or linearised.tangent is None:
             linearised.assemble(state, forces.nodal)
-        size = min(norm(forces.mixed), norm(forces.residual))
+        size = min(norm(forces.iterated), norm(forces.residual))
         error = size / max(forces.scale, 1e-14)
         goal = size * float(np.clip(_SHARE * max(error, target / max(error, 1e-14)), *_FORCING))
         tissue = forces.residual - self.system.contact_residual(state)
@@ -201,21 +197,20 @@ class Newton:
         In the first iterations the residual of a good step may be several times the previous one; later it
         must decrease, with either the independent volume ratios or those of the displacements.
         """
-        before, before_all = norm(forces.mixed), norm(forces.residual)
+        before, before_all = norm(forces.iterated), norm(forces.residual)
         full = self.system.moved(state, step)
-        mixed = self.mixed
-        if mixed:
-            nows = state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u))
-            aims = self.system.linear_volumes(state, full.u - state.u)
+        if self.volume_ratios:
+            ratios = state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u))
+            ratios_full = self.system.linear_volumes(state, full.u - state.u)
         allowed = _PATIENCE if iteration < _PATIENT_ITERATIONS else 1.0
         length = 1.0
         best: tuple[float, State, Forces, float] | None = None
         for _ in range(7):
             trial = self.system.moved(state, length * step)
-            if mixed:
-                trial = replace(trial, volumes=_between(nows, aims, length))
+            if self.volume_ratios:
+                trial = replace(trial, volumes=_between(ratios, ratios_full, length))
             result = self.forces(trial)
-            size, size_all = norm(result.mixed), norm(result.residual)
+            size, size_all = norm(result.iterated), norm(result.residual)
             if result.worst > 0 and np.isfinite(size):
                 enough = allowed * (1.0 - 0.1 * length)
                 if size <= enough * before or size_all <= (1.0 - 0.1 * length) * before_all:
@@ -229,7 +224,9 @@ class Newton:
         self.forces(best[1])
         return best[1], best[2], best[3]
 
-    def report(self, load_step: LoadStep, iteration: int, forces: Forces) -> None:
+    def report(
+        self, load_step: LoadStep, iteration: int, forces: Forces, meter: WorkMeter | None = None
+    ) -> None:
         """Report the state of an iteration, and charge the work since the last one."""
         self.progress.event(
             "newton",
@@ -244,13 +241,8 @@ class Newton:
             krylov=self.counts.krylov,
             factorisations=self.counts.factorisations,
         )
-        if self._limit is not None:
-            known, now = self._charged, (self.counts.krylov, self.counts.factorisations)
-            self._charged = now
-            self._limit.charge(
-                step=load_step.number, n_steps=load_step.n_steps, krylov=now[0] - known[0],
-                factorisations=now[1] - known[1],
-            )  # fmt: skip
+        if meter is not None:
+            meter.charge(load_step)
 
     def failure(
         self, state: State, forces: Forces, load_step: LoadStep, iteration: int, why: str
@@ -333,8 +325,8 @@ def _mm(place: Array) -> str:
     return f"({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm"
 
 
-def _between(nows: tuple[Array, ...], aims: tuple[Array, ...], part: float) -> tuple[Array, ...]:
-    return tuple(now + part * (aim - now) for now, aim in zip(nows, aims, strict=True))
+def _between(begin: tuple[Array, ...], end: tuple[Array, ...], part: float) -> tuple[Array, ...]:
+    return tuple(a + part * (b - a) for a, b in zip(begin, end, strict=True))
 
 
 def _too_long(sizes: list[float]) -> bool:

@@ -34,14 +34,14 @@ class Stagnation:
             self.state, self.error = state, forces.error
 
     @property
-    def will_do(self) -> bool:
+    def is_acceptable(self) -> bool:
         return self.error <= self.stalled
 
     @property
-    def goes_round(self) -> bool:
+    def repeats(self) -> bool:
         """Whether the last residuals repeat with a period of two: four of them if the smallest residual is
         acceptable, else `_CERTAIN`, since a converging iteration may also be slow for a while."""
-        n = 4 if self.will_do else _CERTAIN
+        n = 4 if self.is_acceptable else _CERTAIN
         last = self._errors[-n:]
         return len(last) == n and all(
             abs(a - b) <= _SAME * a for a, b in zip(last[:-2], last[2:], strict=True)

@@ -45,7 +45,8 @@ class Forces:
     bodies (n_bodies, 6) : external force and moment needed to hold each body in place
     residual : out-of-balance forces of the unknowns; scale : norm of the acting forces (N)
     worst, place : smallest det F and its (group, cell)
-    mixed : residual with the pressures evaluated at the state's independent volume ratios
+    iterated : residual with the pressures evaluated at the state's independent volume ratios, which the
+        iteration makes vanish
     """
 
     nodal: Array
@@ -55,7 +56,7 @@ class Forces:
     n_touching: int
     worst: float
     place: tuple[int, int]
-    mixed: Array
+    iterated: Array
 
     @property
     def error(self) -> float:
