@@ -15,9 +15,9 @@ from functools import partial
 
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.load_stepping import LoadStepping, remembers
+from limbcli.fem.equilibrium.load_stepping import LoadStepping
 from limbcli.fem.equilibrium.newton import Counts, Newton, Settings
-from limbcli.fem.equilibrium.settings import WorkLimit
+from limbcli.fem.equilibrium.settings import WorkLimit, WorkMeter
 from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
@@ -59,11 +59,6 @@ class Analysis:
         self.counts = Counts()
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the response depends on the loading path (viscoelastic materials, friction)."""
-        return remembers(self.model)
 
     @property
     def newton(self) -> Newton:
@@ -108,14 +103,15 @@ class Analysis:
             listed = listed_times(step, begin)
             if histories is not None:
                 histories.system = newton.system
-            elif self.remembers:
+            elif self.model.remembers:
                 histories = Histories(newton.system)
-            stepping = LoadStepping(self.model, step, newton, histories, limit)
+            meter = WorkMeter(newton.counts, limit)
+            stepping = LoadStepping(self.model, step, newton, histories)
             for within, target in enumerate(targets, start=1):
                 if last is not None and n_must >= last:
                     return snapshots
                 number += 1
-                load_step = newton.load_step(number, n_steps, target)
+                load_step = newton.load_step(number, n_steps, target, meter)
                 known = guesses(newton.system, target) if guesses else None
                 newton.system.remember(state)
                 advance = partial(
@@ -137,6 +133,10 @@ class Analysis:
                 must = target in musts
                 n_must += must
                 snapshot = Snapshot(part, within, state, forces, must, target in listed)
+                if snapshots:  # of many time steps, the state of all contact points would fill the memory
+                    forces = snapshots[-1].forces
+                    contact = replace(forces.contact, points=())
+                    snapshots[-1] = replace(snapshots[-1], forces=replace(forces, contact=contact))
                 snapshots.append(snapshot)
                 if visit is not None:
                     visit(self, snapshot)
@@ -157,7 +157,7 @@ class Analysis:
         for step in self.model.steps:
             curve = self.model.curves.get(step.dt_max_curve or "")
             largest = None if curve is None else partial(load_curves.value, curve)
-            every = self.remembers or counts_every_step(step)
+            every = self.model.remembers or counts_every_step(step)
             found.append(step_times(step, begin=begin, every=every, largest=largest))
             begin = found[-1][-1]
         return found

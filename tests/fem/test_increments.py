@@ -112,7 +112,7 @@ def test_a_failure_tells_the_time_and_the_depth_there(monkeypatch: pytest.Monkey
 
     def fails(self, guess, load_step, **options):
         if guess.time > 0.3:
-            raise self.failure(guess, self.forces(guess), load_step, 0, "no")
+            raise self.failure(self.forces(guess), load_step, 0, "no")
         return solve(self, guess, load_step, **options)
 
     monkeypatch.setattr(Newton, "equilibrate", fails)

@@ -36,29 +36,29 @@ class ElementLoops:
     def internal(self, state: State) -> tuple[Array, float, tuple[int, int]]:
         """Internal nodal forces (n_points, 3), smallest det F, and its (group, cell)."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
-        worst, place = np.inf, (-1, -1)
+        worst, worst_cell = np.inf, (-1, -1)
         for k, o in enumerate(self.operands):
             found = self._add(simd_kernels.internal_force, state, o, o.arguments(), parts)
             low, cell = min(found)
             if low < worst:
-                worst, place = low, (k, cell)
+                worst, worst_cell = low, (k, cell)
             if o.bulk is not None:
                 args = (o.cells, o.grad, o.weight, o.base, *self._volume_terms(state, k))
                 self._add(kernels.volume_force, state, o, args, parts)
-        return total(parts), worst, place
+        return total(parts), worst, worst_cell
 
     def smallest_mean_volume(self, state: State) -> tuple[float, tuple[int, int]]:
         """Smallest determinant of a cell's mean F, and its (group, cell).
 
         A curved quadratic cell may be inverted although det F is positive at all of its integration points.
         """
-        worst, place = np.inf, (-1, -1)
+        worst, worst_cell = np.inf, (-1, -1)
         for k, (group, o) in enumerate(zip(self.groups, self.operands, strict=True)):
             F = o.base + np.einsum("eni,enj->eij", state.u[o.cells], group.mean_grad(o.grad))
             low = np.linalg.det(F)
             if len(low) and low.min() < worst:
-                worst, place = float(low.min()), (k, int(low.argmin()))
-        return worst, place
+                worst, worst_cell = float(low.min()), (k, int(low.argmin()))
+        return worst, worst_cell
 
     def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
         """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""

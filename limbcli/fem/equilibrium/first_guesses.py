@@ -46,7 +46,8 @@ def extrapolate(system: System, states: Sequence[State], time: float) -> State:
     bodies = [
         replace(at, shift=combined([s.bodies[b].shift for s in states])) for b, at in enumerate(last.bodies)
     ]
-    guess = system.prescribed(State(last.time, combined([s.u for s in states]), tuple(bodies)), time)
+    moved = State(last.time, combined([s.u for s in states]), tuple(bodies), last.hints)
+    guess = system.prescribed(moved, time)
     still = np.zeros_like(last.u)
     ratios = [system.linear_volumes(s, still) for s in states]
     volumes = tuple(combined(list(each)) for each in zip(*ratios, strict=True))

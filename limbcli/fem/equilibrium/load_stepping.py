@@ -8,12 +8,12 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.contacts.pairs import Pair
 from limbcli.fem.equilibrium.first_guesses import beside, extrapolate
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath, Reached
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
-from limbcli.fem.equilibrium.settings import WorkLimit, WorkMeter
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import Forces, RoughState, State, norm
 from limbcli.model import LimbModel, Step
@@ -35,30 +35,17 @@ _STEADY = 5  # number of increments after a cut during which they do not grow
 _EASY = 4  # Newton iterations up to which an increment counts as easy, so that the next may be longer
 
 
-def is_timed(model: LimbModel) -> bool:
-    """Whether the response depends on the time step sizes (viscoelastic materials)."""
-    return any(material.is_viscoelastic for material in model.materials.values())
-
-
-def remembers(model: LimbModel) -> bool:
-    """Whether the response depends on the loading path (viscoelastic materials, friction)."""
-    return is_timed(model) or model.has_friction
-
-
 class LoadStepping:
     """Advances through the load steps of one analysis step and adapts the increment length.
 
     histories : stress histories to advance with every increment
-    limit : of the work
     """
 
     def __init__(
-        self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None = None,
-        limit: WorkLimit | None = None,
+        self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None = None
     ):  # fmt: skip
         self._step, self._newton, self._histories = step, newton, histories
-        self._meter = WorkMeter(newton.counts, limit)
-        self._has_friction, self._timed = model.has_friction, is_timed(model)
+        self._has_friction, self._timed = model.has_friction, model.is_viscoelastic
         # increments shorter than a load step only provide initial guesses
         self._incremental = bool(model.contacts) and not self._timed
         increment = _FIRST * step.step_size if self._incremental else np.inf
@@ -109,7 +96,7 @@ class LoadStepping:
             spent = before - way.most_iterations + _BRIEF_ITERATIONS
             state = self._reached.last
             newton.system.at(state.time)
-            raise newton.failure(state, newton.forces(state), way.load_step, spent, "it takes long")
+            raise newton.failure(newton.forces(state), way.load_step, spent, "it takes long")
         rest = way.target - begin
         n = 1 if way.known is not None else int(np.ceil(rest / self._reached.increment - 1e-6))
         while self._incremental and way.known is None and rest / n > self._step.step_size:
@@ -180,7 +167,6 @@ class LoadStepping:
         way.known = None
         if newton.counts.iterations > increment.iterations_before:
             newton.linearised.reuse_cost = np.inf  # without an iteration the factor is still up to date
-        newton.system.recall(self._reached.last.hints)
 
     def _begin_again(self, way: LoadStepPath, increment: Increment) -> Increment:
         """Return to the last load step, to retry without independent volume ratios: these allow longer
@@ -210,11 +196,9 @@ class LoadStepping:
             return None
         if guess is None or left > _NEAR or way.failed_relaxations:
             guess = newton.system.prescribed(begin, increment.aim)
-        newton.system.recall(guess.hints)
         newton.linearised.reuse_cost = np.inf
         try:
-            tolerance = None if increment.is_last else _RESTED
-            return relax(newton, guess, way.load_step, tolerance=tolerance, meter=self._meter)
+            return relax(newton, guess, way.load_step, tolerance=None if increment.is_last else _RESTED)
         except (NotConverged, SingularMatrix):
             way.failed_relaxations += 1
             return None
@@ -248,9 +232,7 @@ class LoadStepping:
         guess, forces = self._guess(aim, way.load_step, way.known, patient)
         if way.known is not None and not self._reached.pairs:  # the factor was computed a load step earlier
             newton.linearised.reuse_cost = np.inf
-        return newton.equilibrate(
-            guess, way.load_step, forces=forces, tolerance=tolerance, patient=patient, meter=self._meter
-        )
+        return newton.equilibrate(guess, way.load_step, forces=forces, tolerance=tolerance, patient=patient)
 
     def _guess(
         self, time: float, load_step: LoadStep, known: State | None, patient: bool
@@ -280,7 +262,7 @@ class LoadStepping:
         if guess is None or (error > limit and self._incremental and not patient and len(reached.states) > 1):
             assert forces is not None
             why = "the step is too long for a first guess"
-            raise self._newton.failure(reached.last, forces, load_step, 0, why)
+            raise self._newton.failure(forces, load_step, 0, why)
         assert forces is not None
         return guess, forces
 
@@ -289,12 +271,10 @@ class LoadStepping:
 
         None, with the forces at the last guess, if all of them have inverted cells.
         """
-        newton, system = self._newton, self._newton.system
-        system.at(time)
+        self._newton.system.at(time)
         error, guess, forces = np.inf, None, None
         for each in guesses:
-            system.recall(each.hints)
-            found = newton.forces(each)
+            found = self._newton.forces(each)
             own = found.error
             if len(guesses) > 1:  # penalise loss of contact, which lowers the residual misleadingly
                 own += max(1.0 - found.n_touching / max(self._reached.n_touching, 1), 0.0)
@@ -302,12 +282,7 @@ class LoadStepping:
                 own = min(norm(found.iterated) / max(found.scale, 1e-14), own)
             if found.worst > 0 and own < error:
                 error, guess, forces = own, each, found
-        if guess is None:
-            return error, None, found if guesses else None
-        if guess is not guesses[-1]:
-            system.recall(guess.hints)
-            forces = newton.forces(guess)
-        return error, guess, forces
+        return error, guess, forces if guess is not None or not guesses else found
 
     def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
         """The error, completed with its load step, the likely cause and the depth or force reached."""
@@ -335,20 +310,25 @@ class LoadStepping:
 
     def _augmented(self, state: State, forces: Forces, way: LoadStepPath) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
-        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented and way.augments]
-        before = [pair.multipliers() for pair in pairs]
+        every = enumerate(self._newton.system.pairs)
+        pairs = [(k, pair) for k, pair in every if pair.is_augmented and way.augments]
+        before = [pair.multipliers() for _, pair in pairs]
         n_before = 0
         try:
-            settled = [pair.augment(n_before) for pair in pairs]
+            settled = _augment(pairs, forces, n_before)
             while not all(settled):
-                state, forces = self._newton.equilibrate(state, way.load_step, meter=self._meter)
+                state, forces = self._newton.equilibrate(state, way.load_step)
                 n_before += 1
-                settled = [pair.augment(n_before) for pair in pairs]
+                settled = _augment(pairs, forces, n_before)
         except SolveError:
-            for pair, multipliers in zip(pairs, before, strict=True):
+            for (_, pair), multipliers in zip(pairs, before, strict=True):
                 pair.set_multipliers(multipliers)
             raise
         return state, forces
+
+
+def _augment(pairs: Sequence[tuple[int, Pair]], forces: Forces, n_before: int) -> list[bool]:
+    return [pair.augment(forces.contact.points[k], n_before) for k, pair in pairs]
 
 
 def _has_no_factor(error: SolveError, reached: Sequence[State]) -> bool:

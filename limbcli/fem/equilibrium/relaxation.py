@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from limbcli.fem.equilibrium.newton import Newton
-from limbcli.fem.equilibrium.settings import LoadStep, WorkMeter
+from limbcli.fem.equilibrium.settings import LoadStep
 from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.model import Array
@@ -20,12 +22,7 @@ _NONLINEAR = 2.0  # nonlinear residual, relative to the previous residual, above
 
 
 def relax(
-    newton: Newton,
-    guess: State,
-    load_step: LoadStep,
-    *,
-    tolerance: float | None = None,
-    meter: WorkMeter | None = None,
+    newton: Newton, guess: State, load_step: LoadStep, *, tolerance: float | None = None
 ) -> tuple[State, Forces]:
     """Solve for equilibrium from a guess by pseudo-transient continuation; raises NotConverged.
 
@@ -44,21 +41,21 @@ def relax(
     is_free = False
     try:
         for iteration in range(_RELAXED + 1):
-            newton.report(load_step, iteration, forces, meter)
-            newton.note(stagnation, state, forces)
+            newton.report(load_step, iteration, forces)
+            stagnation.note(forces)
+            state = replace(state, hints=forces.contact.state.hints)
             if newton.is_reached(forces, target if is_free else held):
-                return newton.accepted(state, forces, load_step, iteration)
+                return newton.accepted(forces, load_step, iteration)
             if iteration == _RELAXED or linearised.drag > _MOST_DRAG or stagnation.repeats:
                 break
             newton.counts.iterations += 1
-            step = newton.direction(state, forces, True, target)
-            found = _after(newton, state, step)
+            step, contact = newton.direction(state, forces, True, target)
+            found = _after(newton, replace(state, hints=contact.state.hints), step)
             nonlinear = np.inf if found is None else _nonlinear_part(newton, forces, found[1], step)
             if nonlinear > _NONLINEAR:
                 # along a soft mode the step scales as 1 / drag, and the residual it leaves as its square
                 firmer = float(np.clip(np.sqrt(_NONLINEAR * nonlinear), *_FIRMER))
                 linearised.drag = firmer * max(linearised.drag, _LEAST_DRAG)
-                newton.forces(state)
                 continue
             assert found is not None
             state, forces = found
@@ -70,9 +67,9 @@ def relax(
                 linearised.drag = 0.0
     finally:
         linearised.drag = 0.0
-    if stagnation.is_acceptable:
-        return newton.accepted(*newton.least_of(stagnation), load_step, iteration)
-    raise newton.failure(state, forces, load_step, iteration, "the tissue does not reach equilibrium")
+    if stagnation.acceptable:
+        return newton.accepted(stagnation.acceptable, load_step, iteration)
+    raise newton.failure(forces, load_step, iteration, "the tissue does not reach equilibrium")
 
 
 def _after(newton: Newton, state: State, step: Array) -> tuple[State, Forces] | None:

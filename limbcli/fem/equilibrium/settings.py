@@ -75,6 +75,7 @@ class LoadStep:
     depth : of a body that is pressed in, mm; None where none is
     aim : the depth or the force of the body, in words; "" where it has neither
     time : at its end
+    meter : charged with the work of every iteration
     """
 
     number: int
@@ -82,6 +83,7 @@ class LoadStep:
     depth: float | None
     aim: str = ""
     time: float = 0.0
+    meter: WorkMeter | None = None
 
     def at(self, time: float, reached: str) -> str:
         """Text for a time on the way to this load step, and what is reached there."""
