@@ -79,6 +79,8 @@ if TYPE_CHECKING:
     from limbcli.solvers.session import MustPoints as MustPoints
     from limbcli.solvers.session import ReferenceSession as ReferenceSession
     from limbcli.solvers.session import SessionResult as SessionResult
+    from limbcli.solvers.session_options import StartFrom as StartFrom
+    from limbcli.solvers.session_options import StopWhen as StopWhen
 
 # Module of each public name; a test compares this list, and the signatures, with the documented interface.
 _PUBLIC = {
@@ -105,6 +107,7 @@ _PUBLIC = {
     "progress": ("Progress",),
     "solvers.base": ("Simulation",),
     "solvers.session": ("MustPoints", "ReferenceSession", "SessionResult"),
+    "solvers.session_options": ("StartFrom", "StopWhen"),
 }  # fmt: skip
 keep_kernels(Path(__file__).parent)  # before anything is compiled
 _HOME = {name: module for module, names in _PUBLIC.items() for name in names}

@@ -112,7 +112,7 @@ def prepare(
     SolveError
         If the model without effects cannot be solved.
     """
-    return _Preparation(case, site, out, mesh, progress).all(effects, extras, draining)
+    return _Preparation(case, site, out, mesh, progress).run(effects, extras, draining)
 
 
 def turned_by_90(
@@ -184,7 +184,7 @@ class _Preparation:
         if site.states:
             self.notes.warnings.append(one_state(site))
 
-    def all(
+    def run(
         self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement],
         draining: DrainageSolver | None,
     ) -> Prepared:  # fmt: skip

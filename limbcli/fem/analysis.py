@@ -15,9 +15,9 @@ from functools import partial
 
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.load_stepping import LoadStepping, remembers
+from limbcli.fem.equilibrium.load_stepping import LoadStepping
 from limbcli.fem.equilibrium.newton import Counts, Newton, Settings
-from limbcli.fem.equilibrium.settings import LoadStep, WorkLimit
+from limbcli.fem.equilibrium.settings import WorkLimit, WorkMeter
 from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
@@ -59,12 +59,6 @@ class Analysis:
         self.counts = Counts()
         self._newton: Newton | None = None
         self._supports: tuple[object, ...] | None = None
-        self._stepping = LoadStepping()
-
-    @property
-    def remembers(self) -> bool:
-        """Whether the response depends on the loading path (viscoelastic materials, friction)."""
-        return remembers(self.model)
 
     @property
     def newton(self) -> Newton:
@@ -104,28 +98,34 @@ class Analysis:
         for part, targets in enumerate(times):
             step = self.model.steps[part]  # `visit` may have changed the model's later steps
             newton = self._prepare(step, state)
-            newton.charge_to(limit)
             state = newton.system.start
             musts = set(step_times(step, begin=begin) if step.must_points else targets)
             listed = listed_times(step, begin)
             if histories is not None:
                 histories.system = newton.system
-            elif self.remembers:
+            elif self.model.remembers:
                 histories = Histories(newton.system)
-            self._stepping.begin(self.model, step, newton, histories)
+            meter = WorkMeter(newton.counts, limit)
+            stepping = LoadStepping(self.model, step, newton, histories)
             for within, target in enumerate(targets, start=1):
                 if last is not None and n_must >= last:
                     return snapshots
                 number += 1
-                load_step = newton.load_step(number, n_steps, target)
+                load_step = newton.load_step(number, n_steps, target, meter)
                 known = guesses(newton.system, target) if guesses else None
                 newton.system.remember(state)
-                brief = full_effort is not None and n_must >= full_effort
-                self._stepping.patient = patient and (required is None or n_must < required)
+                advance = partial(
+                    stepping.advance_to,
+                    brief=full_effort is not None and n_must >= full_effort,
+                    patient=patient and (required is None or n_must < required),
+                )
                 try:
                     if self.settings.slip_as_febio and self.model.has_friction:
-                        state = self._held_anew(state, target, load_step, brief=brief)
-                    state, forces = self._stepping.advance_to(target, load_step, known, brief=brief)
+                        # nearly at the end of the time step, from where friction measures the rest of it
+                        nearly = state.time + _FIRST_ITERATE * (target - state.time)
+                        state, _ = advance(nearly, load_step, augments=False)
+                        newton.system.remember(state)
+                    state, forces = advance(target, load_step, known)
                 except SolveError:
                     if required is not None and n_must >= required:
                         return snapshots
@@ -133,6 +133,10 @@ class Analysis:
                 must = target in musts
                 n_must += must
                 snapshot = Snapshot(part, within, state, forces, must, target in listed)
+                if snapshots:  # of many time steps, the state of all contact points would fill the memory
+                    forces = snapshots[-1].forces
+                    contact = replace(forces.contact, points=())
+                    snapshots[-1] = replace(snapshots[-1], forces=replace(forces, contact=contact))
                 snapshots.append(snapshot)
                 if visit is not None:
                     visit(self, snapshot)
@@ -141,16 +145,8 @@ class Analysis:
             begin = targets[-1]
         return snapshots
 
-    def _held_anew(self, state: State, target: float, load_step: LoadStep, *, brief: bool) -> State:
-        """Equilibrium nearly at the end of a time step, from which friction measures the rest of the step."""
-        within = state.time + _FIRST_ITERATE * (target - state.time)
-        state, _ = self._stepping.advance_to(within, load_step, None, brief=brief, augments=False)
-        self.system.remember(state)
-        return state
-
     def forget(self) -> None:
-        """Discard the factor and increment sizes of earlier runs, which may change the last digits."""
-        self._stepping = LoadStepping()
+        """Discard the factor of earlier runs, which may change the last digits."""
         if self._newton is not None:
             self._collect()
             self._newton.linearised.forget()
@@ -161,7 +157,7 @@ class Analysis:
         for step in self.model.steps:
             curve = self.model.curves.get(step.dt_max_curve or "")
             largest = None if curve is None else partial(load_curves.value, curve)
-            every = self.remembers or counts_every_step(step)
+            every = self.model.remembers or counts_every_step(step)
             found.append(step_times(step, begin=begin, every=every, largest=largest))
             begin = found[-1][-1]
         return found

@@ -8,16 +8,16 @@ their part of the tangent enters as a few dense columns.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from itertools import islice
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 
 from limbcli.fem.contacts.contact import make_pairs
-from limbcli.fem.contacts.contact_points import FACET, TRACTION, add_symmetric
+from limbcli.fem.contacts.contact_points import FACET, add_symmetric
 from limbcli.fem.contacts.contact_reach import near_nodes
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.elements.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.elements.element_loops import ElementLoops
@@ -131,7 +131,7 @@ class System(RigidLoads, ElementLoops):
             pair.set_penalty(self.groups, self.curve_at_first, self.model.steps[0].step_size)
 
     def begin(self) -> None:
-        """Reset to the unloaded state; contact and history are discarded."""
+        """Reset to the unloaded state; the histories of friction and of stresses are discarded."""
         self.start = self.rest()
         self.scales = [1.0] * len(self.groups)
         self.histories = [np.zeros((0, 1, 6))] * len(self.groups)
@@ -140,32 +140,14 @@ class System(RigidLoads, ElementLoops):
         self.at(0.0)
 
     def remember(self, state: State) -> None:
-        """Store a converged state as the reference for friction and for the contact search."""
-        self.recall(state.hints)
-        for pair in self.pairs:
-            pair.remember(self.X + state.u, state.bodies[pair.body])
+        """Store a converged state as the reference for friction."""
+        for pair, hints in zip(self.pairs, self._hints_by_pair(state), strict=True):
+            pair.remember(self.X + state.u, state.bodies[pair.body], hints)
 
     def take_multipliers(self, before: System) -> None:
         """Copy the multipliers of the augmented contacts from the system of the previous step."""
         for mine, theirs in zip(self.pairs, before.pairs, strict=True):
             mine.set_multipliers(theirs.multipliers())
-
-    def forces_found(self, state: State) -> Forces:
-        """The forces of an equilibrium just found, and the state of its contacts: with the multipliers of
-        augmented contacts that it was found with, not those set afterwards."""
-        with ExitStack() as stack:
-            for pair in self.pairs:
-                stack.enter_context(pair.as_found())
-            return self.forces(state)
-
-    def hints(self) -> tuple[Array, ...]:
-        """The rigid facet that each contact point touches (-1: none), one array per patch."""
-        return tuple(p.state[..., FACET].copy() for pair in self.pairs for p in pair.patches)
-
-    def recall(self, hints: tuple[Array, ...]) -> None:
-        patches = [p for pair in self.pairs for p in pair.patches]
-        for patch, hint in zip(patches, hints, strict=False):
-            patch.state[..., FACET] = hint
 
     def _laws_differ(self, model: LimbModel) -> bool:
         return any(model.materials[d.material] is not self.model.materials[d.material] for d in model.domains)
@@ -174,17 +156,10 @@ class System(RigidLoads, ElementLoops):
 
     def forces(self, state: State) -> Forces:
         """Internal, contact, spring and applied forces at a state; loads are subtracted from `nodal`."""
-        nodal, worst, place = self.internal(state)
+        nodal, worst, worst_cell = self.internal(state)
         internal = nodal.copy()
-        bodies = np.zeros((len(self.bodies), 6))
-        touching = 0
-        contact = np.zeros_like(nodal)
-        x = self.X + state.u
-        for pair in self.pairs:
-            touching += pair.search(x, state.bodies[pair.body])
-            push = np.zeros(6)
-            pair.force(self.center(pair.body, state), contact, push)
-            bodies[pair.body] -= push
+        touch = self.search(state)
+        contact, bodies = self.contact_forces(touch)
         loads = self.distributed.forces(state.u)
         nodal += contact - loads
         self.gather_tied(state, nodal, bodies)
@@ -196,11 +171,11 @@ class System(RigidLoads, ElementLoops):
             acting = (held, contact, applied[:, :3], loads)
             scale = np.sqrt(sum((each**2).sum() for each in acting))
         scale = max(float(scale), self.least_force)
-        mixed = residual
+        iterated = residual
         if state.volumes:
-            mixed = residual.copy()
-            mixed[: self.n_tissue] += self.volume_force(state)[self.free]
-        return Forces(nodal, bodies, residual, scale, touching, worst, place, mixed)
+            iterated = residual.copy()
+            iterated[: self.n_tissue] += self.volume_force(state)[self.free]
+        return Forces(nodal, bodies, residual, scale, touch, worst, worst_cell, iterated)
 
     # ------------------------------------------------------------ tangent
 
@@ -214,51 +189,72 @@ class System(RigidLoads, ElementLoops):
         """Tangent of all nodes, elastic and of the loads, times v (n_points, 3)."""
         return super().tangent_times(state, v) - self.distributed.change(state.u, v)
 
-    @contextmanager
-    def full_contact_tangent(self, on: bool) -> Iterator[None]:
-        """Use the exact contact tangent, or the reduced, more robust one (see `Pair.full_tangent`)."""
-        for pair in self.pairs:
-            pair.full_tangent = float(on)
-        try:
-            yield
-        finally:
-            for pair in self.pairs:
-                pair.full_tangent = 1.0
+    # ------------------------------------------------------------ contact
 
-    def touching(self) -> tuple[NDArray[np.bool_], ...]:
-        """Which points (n_facets, n_gauss) of each patch are in contact, according to the last search."""
-        return tuple(p.state[..., TRACTION] > 0 for pair in self.pairs for p in pair.patches)
+    def search(self, state: State, *, before: ContactState | None = None) -> ContactState:
+        """The contact at a state; the search begins at the hints of the state, or of the contact before."""
+        found, hints, n_touching = [], [], 0
+        begins = self._hints_by_pair(state if before is None else before.state)
+        for pair, begin in zip(self.pairs, begins, strict=True):
+            points, n = pair.search(self.X + state.u, state.bodies[pair.body], begin)
+            found.append(points)
+            hints += [each[..., FACET].copy() for each in points]
+            n_touching += n
+        return ContactState(replace(state, hints=tuple(hints), volumes=()), tuple(found), n_touching)
 
-    def add_contact(self, state: State, values: Array, *, couples: bool = True) -> Array:
-        """A copy of the matrix values with the symmetric part of the contact tangent (last search) added.
+    def _hints_by_pair(self, state: State) -> list[tuple[Array, ...]]:
+        hints = iter(state.hints)
+        return [tuple(islice(hints, len(pair.patches))) for pair in self.pairs]
+
+    def contact_forces(self, contact: ContactState) -> tuple[Array, Array]:
+        """Contact's forces on the nodes (n_points, 3), and what holds the bodies against it (n_bodies, 6)."""
+        nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            push = np.zeros(6)
+            pair.force(found, contact.state.bodies[pair.body], nodal, push)
+            bodies[pair.body] -= push
+        return nodal, bodies
+
+    def contact_residual(self, contact: ContactState) -> Array:
+        """The contact part of the residual."""
+        nodal, bodies = self.contact_forces(contact)
+        self.gather_tied(contact.state, nodal, bodies)
+        return np.concatenate([nodal[self.free], [bodies[k] for k in self.rigid]])
+
+    def _contact_blocks(self, contact: ContactState, couples: bool) -> Iterator[tuple[Patch, Array, Array]]:
+        """Every patch with the tangent of its facets, and which of them touch."""
+        state, x, full = contact.state, self.X + contact.state.u, contact.full_tangent
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            for k, patch in enumerate(pair.patches):
+                at = state.bodies[pair.body]
+                yield patch, *pair.blocks(k, found[k], at, x, full=full, couples=couples)
+
+    def add_contact(self, contact: ContactState, values: Array, *, couples: bool = True) -> Array:
+        """A copy of the matrix values with the symmetric part of the contact tangent added.
 
         couples : see `Pair.blocks`
         """
         values = values.copy()
-        for pair in self.pairs:
-            found = pair.blocks(self.X + state.u, couples=couples)
-            for patch, (blocks, touched) in zip(pair.patches, found, strict=True):
-                add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
+        for patch, blocks, touched in self._contact_blocks(contact, couples):
+            add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
         return values
 
     def contact_matrix(
-        self, state: State, places: IntArray, n: int, *, couples: bool = True
+        self, contact: ContactState, rows: IntArray, n: int, *, couples: bool = True
     ) -> sparse.csr_array:
-        """Exact contact tangent (n, n) of the last search, for a subset of the unknowns.
+        """Contact tangent (n, n) for a subset of the unknowns.
 
-        places (n_points, 3) : row of each degree of freedom in the result; -1 leaves it out
+        rows (n_points, 3) : row of each degree of freedom in the result; -1 leaves it out
         couples : see `Pair.blocks`
         """
         parts = []
-        for pair in self.pairs:
-            found = pair.blocks(self.X + state.u, couples=couples)
-            for patch, (blocks, touched) in zip(pair.patches, found, strict=True):
-                size = 3 * patch.facets.shape[1]
-                mine = places[patch.facets[touched]].reshape(-1, size)
-                values = blocks[touched].reshape(-1, size, size)
-                row, column = np.broadcast_arrays(mine[:, :, None], mine[:, None, :])
-                inside = (row >= 0) & (column >= 0)
-                parts.append((values[inside], row[inside], column[inside]))
+        for patch, blocks, touched in self._contact_blocks(contact, couples):
+            size = 3 * patch.facets.shape[1]
+            mine = rows[patch.facets[touched]].reshape(-1, size)
+            values = blocks[touched].reshape(-1, size, size)
+            row, column = np.broadcast_arrays(mine[:, :, None], mine[:, None, :])
+            inside = (row >= 0) & (column >= 0)
+            parts.append((values[inside], row[inside], column[inside]))
         values, row, column = (np.concatenate(each) for each in zip(*parts, strict=True))
         return sparse.coo_array((values, (row, column)), shape=(n, n)).tocsr()
 
@@ -280,31 +276,30 @@ class System(RigidLoads, ElementLoops):
         """Whether a rigid surface not in contact at a converged state would move by more than the contact
         search radius until `time`, so that it could pass through the skin undetected."""
         ways = np.linalg.norm(self.prescribed(state, time).u - state.u, axis=1)
-        hints = iter(state.hints)
-        for pair in self.pairs:
-            touches = [(each >= 0).any() for _, each in zip(pair.patches, hints, strict=False)]
+        for pair, hints in zip(self.pairs, self._hints_by_pair(state), strict=True):
             rigid = ways[pair.facets2[pair.facets2 >= 0]]
-            if not any(touches) and rigid.max(initial=0.0) > pair.contact.search_radius:
+            touches = any((each >= 0).any() for each in hints)
+            if not touches and rigid.max(initial=0.0) > pair.contact.search_radius:
                 return True
         return False
 
-    def contact_times(self, state: State, v: Array, motions: Array) -> tuple[Array, Array]:
-        """Exact contact tangent times nodal and body motions.
+    def contact_times(self, contact: ContactState, v: Array, motions: Array) -> tuple[Array, Array]:
+        """Contact tangent times nodal and body motions.
 
         Returns forces on the nodes (n_points, 3) and on the bodies (n_bodies, 6).
         """
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
-        x = self.X + state.u
-        for pair in self.pairs:
-            body = np.zeros(6)
-            pair.times(x, self.center(pair.body, state), v, motions[pair.body], nodal, body)
+        state, full = contact.state, contact.full_tangent
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            at, body = state.bodies[pair.body], np.zeros(6)
+            pair.times(found, at, self.X + state.u, v, motions[pair.body], nodal, body, full=full)
             bodies[pair.body] -= body
         return nodal, bodies
 
     def contact_change(
-        self, state: State, step: Array | None = None, *, motions: Array | None = None
+        self, contact: ContactState, step: Array | None = None, *, motions: Array | None = None
     ) -> Array:
-        """Exact contact tangent at `state` (last search) times a change of the unknowns.
+        """Contact tangent times a change of the unknowns.
 
         motions (n_bodies, 6) : additional prescribed motions of the bodies
         """
@@ -314,25 +309,12 @@ class System(RigidLoads, ElementLoops):
             return out
         n = self.n_tissue
         own = self.motions(step)
-        v = self.follow(state, own) + self.spread(step[:n])
-        nodal, bodies = self.contact_times(state, v, own if motions is None else own + motions)
+        v = self.follow(contact.state, own) + self.spread(step[:n])
+        nodal, bodies = self.contact_times(contact, v, own if motions is None else own + motions)
         out[:n] = self.collect(nodal)
         for k, (b, dof) in enumerate(self.rigid):
             out[n + k] = bodies[b, dof]
         return out
-
-    def contact_residual(self, state: State, *, search: bool = False) -> Array:
-        """The contact part of the residual, from the last search or (`search`) from a new one."""
-        nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
-        x = self.X + state.u
-        for pair in self.pairs:
-            if search:
-                pair.search(x, state.bodies[pair.body])
-            push = np.zeros(6)
-            pair.force(self.center(pair.body, state), nodal, push)
-            bodies[pair.body] -= push
-        self.gather_tied(state, nodal, bodies)
-        return np.concatenate([nodal[self.free], [bodies[k] for k in self.rigid]])
 
     def close(self) -> None:
         self.threads.close()

@@ -33,6 +33,7 @@ from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
+from limbcli.solvers.session_options import StopWhen
 
 if TYPE_CHECKING:
     from limbcli.solvers.session import Solved
@@ -196,7 +197,7 @@ class LawCurve:
             return self._session.solve(model, **options)
         if self._session.kept_levels is not None:
             with suppress(SolveError):
-                return self._session.solve(self._eased(model), patient=False, **options)
+                return self._session.solve(self._eased(model), stop=StopWhen(patient=False), **options)
         self._session.solve(softer_jumps(model))
         return self._session.solve(self._eased(model), **options)
 

@@ -9,6 +9,7 @@ from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_options import StartFrom, StopWhen
 
 if TYPE_CHECKING:
     from limbcli.solvers.session import Solved
@@ -43,11 +44,11 @@ def forces_again(
     )
     try:
         if like is None:
-            forces = session.solve(model, start_levels=levels).must_points.forces
+            forces = session.solve(model, start=StartFrom(levels=levels)).must_points.forces
             kept.keep_checked(model, forces)
             return forces
         session.start_like(like)
-        return session.solve(model, required=1, full_effort=0).must_points.forces
+        return session.solve(model, stop=StopWhen(required=1, full_effort=0)).must_points.forces
     except ArithmeticError as error:
         raise SolveError(
             f"the law overflows ({error})", where=check, fix=f"--no-{check.replace(' ', '-')}"

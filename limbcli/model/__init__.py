@@ -297,6 +297,16 @@ class LimbModel:
     loads: tuple[Load, ...] = ()
 
     @property
+    def is_viscoelastic(self) -> bool:
+        """Whether a material is viscoelastic, so that the response depends on the sizes of the time steps."""
+        return any(each.is_viscoelastic for each in self.materials.values())
+
+    @property
+    def remembers(self) -> bool:
+        """Whether the response to a load depends on the way to it (viscoelastic materials, friction)."""
+        return self.is_viscoelastic or self.has_friction
+
+    @property
     def has_friction(self) -> bool:
         """Whether a contact has friction, so that the solution depends on the load path."""
         return any(each.friction for each in self.contacts)

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import starmap
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -413,15 +414,14 @@ def _skin_nodes(model: LimbModel, skin: str) -> IntArray:
 def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     from limbcli.fem.record_fields import record_rows
 
-    system, state = running.system, snapshot.state
-    forces = system.forces_found(state)
-    (pair,) = system.pairs
+    system, state, forces = running.system, snapshot.state, snapshot.forces
+    (pair,), (contact,) = system.pairs, forces.contact.points
     nodes = _skin_nodes(running.model, pair.contact.primary)
     sums = np.zeros((len(system.X), 2))  # area, and pressure times area
     shear = np.zeros((len(system.X), 3))
     by_facet: list[tuple[Array, Array, Array]] = []
-    for patch in pair.patches:
-        area, pressure, tangential = tractions(patch)
+    for patch, points in zip(pair.patches, contact, strict=True):
+        area, pressure, tangential = tractions(patch, points)
         by_facet.append((pressure, np.linalg.norm(tangential, axis=1), area))
         for column in patch.facets.T:
             np.add.at(sums, (column, 0), area)
@@ -444,7 +444,7 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         socket_force_n=forces.bodies[b, :3].copy(),
         socket_moment_n_mm=forces.bodies[b, 3:].copy(),
         socket_shift_mm=np.array(state.bodies[b].shift),
-        penetration_mm=max(map(_penetration, pair.patches), default=0.0),
+        penetration_mm=max(map(_penetration, contact), default=0.0),
         centre=np.asarray(system.bodies[b].center + state.bodies[b].shift),
         imbalance_n=float(np.linalg.norm(_left(system, state, forces)[0])),
     )
@@ -474,53 +474,57 @@ def _left(system: System, state: State, forces: Forces) -> tuple[Array, Array]:
 
 def _balance(running: Analysis, snapshot: Snapshot, aim: str, arm: float) -> StepBalance:
     system = running.system
-    force, moment = _left(system, snapshot.state, system.forces_found(snapshot.state))
-    (pair,) = system.pairs
-    couple = sum((_couple(each, system.X + snapshot.state.u) for each in pair.patches), np.zeros(3))
-    pressed = sum(float(a @ p) for a, p, _ in map(tractions, pair.patches))
+    force, moment = _left(system, snapshot.state, snapshot.forces)
+    (pair,), (contact,) = system.pairs, snapshot.forces.contact.points
+    x, found = system.X + snapshot.state.u, list(zip(pair.patches, contact, strict=True))
+    couple = sum((_couple(patch, points, x) for patch, points in found), np.zeros(3))
+    pressed = sum(float(a @ p) for a, p, _ in starmap(tractions, found))
     return StepBalance(
         aim, pressed, float(np.linalg.norm(force)), float(np.linalg.norm(moment - couple)), arm
     )
 
 
-def _couple(patch: Patch, x: Array) -> Array:
+def _couple(patch: Patch, points: Array, x: Array) -> Array:
     """Moment (3,) that friction makes because it acts on the skin at one point and on the wall at another, as
     far apart as the penetration. x (n_points, 3) : current places"""
     from limbcli.fem.contacts import friction_kernels
     from limbcli.fem.contacts.contact_points import NORMAL, POINT, TRACTION
 
-    if patch.state.shape[2] != friction_kernels.N_STATE:
+    if points.shape[2] != friction_kernels.N_STATE:
         return np.zeros(3)
-    size = np.linalg.norm(patch.state[..., NORMAL : NORMAL + 3], axis=2)
-    weight = np.where(patch.state[..., TRACTION] > 0, patch.weights * size, 0.0)
-    apart = np.einsum("ga,fai->fgi", patch.N, x[patch.facets]) - patch.state[..., POINT : POINT + 3]
-    push = patch.state[..., friction_kernels.PUSH : friction_kernels.PUSH + 3]
+    size = np.linalg.norm(points[..., NORMAL : NORMAL + 3], axis=2)
+    weight = np.where(points[..., TRACTION] > 0, patch.weights * size, 0.0)
+    apart = np.einsum("ga,fai->fgi", patch.N, x[patch.facets]) - points[..., POINT : POINT + 3]
+    push = points[..., friction_kernels.PUSH : friction_kernels.PUSH + 3]
     return np.asarray(np.einsum("fg,fgi->i", weight, np.cross(apart, push)))
 
 
-def _penetration(patch: Patch) -> float:
+def _penetration(points: Array) -> float:
     from limbcli.fem.contacts.contact_points import GAP, TRACTION
 
-    gaps = patch.state[..., GAP][patch.state[..., TRACTION] > 0]
+    gaps = points[..., GAP][points[..., TRACTION] > 0]
     return float(gaps.max(initial=0.0))
 
 
-def tractions(patch: Patch) -> tuple[Array, Array, Array]:
+def tractions(patch: Patch, points: Array) -> tuple[Array, Array, Array]:
     """Current area in contact or not (n_facets,), mean pressure (n_facets,) and mean tangential traction
-    (n_facets, 3) of a patch after a contact search."""
+    (n_facets, 3) of a patch.
+
+    points (n_facets, n_gauss, n_columns) : its part of a `ContactState`
+    """
     from limbcli.fem.contacts import friction_kernels
     from limbcli.fem.contacts.contact_points import NORMAL, TRACTION
 
-    normal = patch.state[..., NORMAL : NORMAL + 3]
+    normal = points[..., NORMAL : NORMAL + 3]
     size = np.linalg.norm(normal, axis=2)
-    touching = patch.state[..., TRACTION] > 0
+    touching = points[..., TRACTION] > 0
     weight = patch.weights * np.where(touching, size, 0.0)
     rest = patch.weights * np.where(touching, 0.0, 1.0)
     area = weight.sum(axis=1) + rest.sum(axis=1) / patch.weights.sum() * patch.areas
-    pressure = (weight * patch.state[..., TRACTION]).sum(axis=1) / area
+    pressure = (weight * points[..., TRACTION]).sum(axis=1) / area
     tangential = np.zeros((len(patch.facets), 3))
-    if patch.state.shape[2] == friction_kernels.N_STATE:
-        push = patch.state[..., friction_kernels.PUSH : friction_kernels.PUSH + 3]
+    if points.shape[2] == friction_kernels.N_STATE:
+        push = points[..., friction_kernels.PUSH : friction_kernels.PUSH + 3]
         nu = normal / np.maximum(size, 1e-300)[..., None]
         along = (push * nu).sum(axis=2)[..., None] * nu
         tangential = np.einsum("fg,fgi->fi", weight, np.where(touching[..., None], push - along, 0.0))

@@ -150,11 +150,10 @@ class ReferenceSolver:
 
 def _only_must_points(model: LimbModel) -> str:
     """What is left out of the records of a model with must-points; "" if nothing."""
-    from limbcli.fem.equilibrium.load_stepping import remembers
     from limbcli.fem.equilibrium.solve_times import counts_every_step
 
     left_out = [step for step in model.steps if step.must_points and not counts_every_step(step)]
-    if remembers(model) or not left_out:
+    if model.remembers or not left_out:
         return ""
     return "only must-points and ends of steps are solved for and written; FEBio writes every time step"
 

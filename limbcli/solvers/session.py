@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, Self
+from typing import TYPE_CHECKING, Self
 
 import numpy as np
 
@@ -18,9 +18,9 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.base import Simulation, Table
-from limbcli.solvers.budget import Budget
 from limbcli.solvers.reference import NAME, prepare
 from limbcli.solvers.session_models import check_same_set_up
+from limbcli.solvers.session_options import StartFrom, StopWhen
 from limbcli.solvers.session_parameters import (
     Parameter,
     check_materials,
@@ -136,15 +136,9 @@ class ReferenceSession:
         weights: Mapping[Parameter, Array] | None = None,
         records: bool = False,
         field_gradients: bool | Collection[str] = False,
-        required: int | None = None,
-        full_effort: int | None = None,
-        last: int | None = None,
-        patient: bool = True,
+        stop: StopWhen = StopWhen(),
+        start: StartFrom = StartFrom(),
         keep_levels: bool = True,
-        enough_force: float | None = None,
-        independent: bool = False,
-        start_levels: Solved | None = None,
-        budget: Budget | None = None,
     ) -> SessionResult:
         """Solve the model, or `model2` with the same mesh, contact and supports.
 
@@ -158,18 +152,8 @@ class ReferenceSession:
         records : also fill the node and element tables that the model requests
         field_gradients : fill these tables and differentiate their fields by `wrt`; True for all, or the
             record files to differentiate
-        required : number of levels that must be reached, later ones only if possible; None: all
-        full_effort : number of levels solved with full effort, later ones attempted briefly; None: as
-            `required`
-        last : number of levels attempted; None: all
-        patient : where Newton's method fails, fall back on pseudo-time relaxation, which is slow
+        stop, start : when the solve ends, and where it takes its initial guesses from
         keep_levels : keep the levels as initial guesses for later solves
-        enough_force : force on the body (N) at which no further levels are solved; None: all are solved
-        independent : use nothing from earlier solves except the levels kept by `keep_levels`, so that the
-            result does not depend on any other solves
-        start_levels : start from these levels instead of those of the nearest solve with `keep_levels`
-        budget : charged for the work of this solve; if it is spent, the levels reached so far are the result
-            if they are enough
 
         Raises
         ------
@@ -177,7 +161,7 @@ class ReferenceSession:
             If `model2` differs in anything else.
         SolveError
             If a level is not reached, or `model2` uses an unsupported feature; the session remains usable.
-            `BudgetSpent` if the budget is spent before `required` levels are reached.
+            `BudgetSpent` if its budget is spent before the required levels are reached.
         """
         from limbcli.fem.elements.groups import differs_from_pointwise
         from limbcli.fem.supported import check_supported, refuse_limp
@@ -191,26 +175,26 @@ class ReferenceSession:
         check_materials(wrt, model)
         if wrt and (path_dependent(model) or differs_from_pointwise(model)):
             return self._differenced(
-                model, wrt, weights or {}, field_gradients, records=records, required=required, last=last,
-                keep_levels=keep_levels, enough_force=enough_force, start_levels=start_levels,
-                full_effort=full_effort, patient=patient, independent=independent, budget=budget,
+                model, wrt, weights or {}, field_gradients, records=records, stop=stop, start=start,
+                keep_levels=keep_levels,
             )  # fmt: skip
         moved = dict(weights or {})
         self._analysis.model = model
         values = parameter_values(model, wrt, moved)
         self._warm = self._warm or WarmStart()
-        start = self._warm if start_levels is None else WarmStart.by(start_levels)
-        start.at(values)
-        if independent:
+        warm = self._warm if start.levels is None else WarmStart.by(start.levels)
+        warm.at(values)
+        if start.independent:
             self._analysis.forget()
         started = time.monotonic()
         requested = self._records(model, records or bool(field_gradients))
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = StateObserver(requested, parameters, self.body, of_fields=field_gradients)
+        enough = stop.enough_force
         snapshots = self._analysis.run(
-            watch, guesses=partial(self._guess, start), required=required, full_effort=full_effort, last=last,
-            patient=patient,
-            ends=None if enough_force is None else lambda: watch.force() >= enough_force, limit=budget,
+            watch, guesses=partial(self._guess, warm), required=stop.required, full_effort=stop.full_effort,
+            last=stop.last, patient=stop.patient,
+            ends=None if enough is None else lambda: watch.force() >= enough, limit=stop.budget,
         )  # fmt: skip
         self.model = model
         levels = Solved(
@@ -296,20 +280,18 @@ class ReferenceSession:
         fields: bool | Collection[str],
         *,
         records: bool,
-        last: int | None,
+        stop: StopWhen,
+        start: StartFrom,
         keep_levels: bool,
-        enough_force: float | None,
-        start_levels: Solved | None,
-        **options: Any,
     ) -> SessionResult:
         """A solve with gradients by central differences with a relative parameter step of 1e-3.
 
         The result is limited to the levels that all of the solves reached.
         """
         found = self.solve(
-            model, records=records or bool(fields), last=last, keep_levels=keep_levels,
-            enough_force=enough_force, start_levels=start_levels, **options,
-        )  # fmt: skip
+            model, records=records or bool(fields), stop=stop, start=start, keep_levels=keep_levels
+        )
+        beside = replace(start, levels=found.levels)
         n = len(found.must_points.times)
         ends: dict[Parameter, tuple[SessionResult, SessionResult, float]] = {}
         try:
@@ -317,15 +299,9 @@ class ReferenceSession:
                 pair = []
                 for sign in (1.0, -1.0):
                     changed, step = nudged(model, name, sign * _DIFFERENCE, along=weights.get(name))
+                    reach = replace(stop, last=n, enough_force=None)
                     pair.append(
-                        self.solve(
-                            changed,
-                            records=bool(fields),
-                            last=n,
-                            keep_levels=False,
-                            start_levels=found.levels,
-                            **options,
-                        )
+                        self.solve(changed, records=bool(fields), stop=reach, start=beside, keep_levels=False)
                     )
                     n = min(n, len(pair[-1].must_points.times))
                 ends[name[0], name[1]] = (pair[0], pair[1], 2 * step)
@@ -356,11 +332,7 @@ class ReferenceSession:
         return rigid + others
 
     def _simulation(
-        self,
-        snapshots: list[Snapshot],
-        requested: list[LogRecord],
-        rows: dict[str, Rows],
-        seconds: float,
+        self, snapshots: list[Snapshot], requested: list[LogRecord], rows: dict[str, Rows], seconds: float
     ) -> Simulation:
         times = np.array([s.state.time for s in snapshots])
         tables: dict[str, dict[str, Table]] = {"rigid_body": {}, "node": {}, "element": {}}
@@ -408,9 +380,8 @@ def _table_differences(
 
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the loading path, not only on the load."""
-    viscoelastic = any(each.is_viscoelastic for each in model.materials.values())
-    by_the_way = viscoelastic or model.has_friction or any(each.augmented for each in model.contacts)
-    return by_the_way or model.goes_on_from_steps
+    augmented = any(each.augmented for each in model.contacts)
+    return model.remembers or augmented or model.goes_on_from_steps
 
 
 def _named_body(model: LimbModel, name: str) -> str:

@@ -75,7 +75,7 @@ def together(
             event_interval_s=max(_EVENT_INTERVAL_S, n_workers / 2), wait=wait,
             options=options,
         )  # fmt: skip
-        return _Together(client, call, cases, progress).all()
+        return _Together(client, call, cases, progress).run()
 
 
 def options_of_call(command: Sequence[str], cases: Sequence[Path]) -> tuple[str, ...]:
@@ -103,7 +103,7 @@ class _Together:
         self.n_parts, self.n_done, self.n_cases_done = len(self.ways), 0, 0
         self._begun, self._speaking = time.monotonic(), threading.Lock()
 
-    def all(self) -> list[CaseOutcome]:
+    def run(self) -> list[CaseOutcome]:
         from distributed import as_completed
 
         before = lost_workers(self.client)

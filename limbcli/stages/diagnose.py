@@ -118,7 +118,7 @@ def diagnose(
             results += _Diagnosed(
                 case=case, sites=group, out=out, effects=effects, options=options, draining=draining,
                 progress=progress, inputs=CaseInputs(case),
-            ).all()  # fmt: skip
+            ).run()  # fmt: skip
     return results
 
 
@@ -175,7 +175,7 @@ class _Diagnosed:
     progress: Progress
     inputs: CaseInputs
 
-    def all(self) -> list[StageResult]:
+    def run(self) -> list[StageResult]:
         prepared: list[Prepared] = []
         inputs = self.inputs
         extras, options = known(self.options.measured), self.options

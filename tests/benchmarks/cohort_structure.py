@@ -19,6 +19,7 @@ from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
 from limbcli.model import Block, Domain, LimbModel
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_options import StopWhen
 from tests.benchmarks import layered_member as family
 from tests.benchmarks.layered_slab import CellCounts, Slab
 
@@ -61,7 +62,7 @@ def strains_and_force(member: family.Member, structure: Structure) -> tuple[floa
     model = _changed(family._loaded(member, slab, plan, counts), slab, structure)
     session = ReferenceSession(model, threads=1, tolerance=1e-3)
     try:
-        found = session.solve(records=True, required=2, patient=False)
+        found = session.solve(records=True, stop=StopWhen(required=2, patient=False))
     finally:
         session.close()
     answer = family._answer(member, slab, plan, found, False)

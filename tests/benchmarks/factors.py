@@ -176,10 +176,10 @@ def keep_matrix(site: str, mesh: str, folder: Path, threads: int) -> None:
     with contextlib.suppress(StopIteration):
         analysis.run(stop)
     system, state = analysis.system, analysis.newton.linearised.inverse.tangent.state
-    system.forces(state)
     pattern, tangent = system.pattern, analysis.newton.linearised.inverse.tangent
+    values = system.add_contact(system.search(state), tangent.upper())
     np.savez(
-        folder / f"matrix-{site}-{mesh}.npz", values=system.add_contact(state, tangent.upper()),
+        folder / f"matrix-{site}-{mesh}.npz", values=values,
         indptr=pattern.indptr, indices=pattern.indices, last=system.within_reach(),
     )  # fmt: skip
     analysis.close()

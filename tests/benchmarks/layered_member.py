@@ -31,6 +31,7 @@ from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.model.bodies import Drive
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession, SessionResult
+from limbcli.solvers.session_options import StopWhen
 from tests.benchmarks.layered_slab import LAYERS, QUARTER, CellCounts, Slab, slab_model
 
 ROOT_AREA = 20.0  # mm, square root of the face's area at which the family is solved
@@ -108,7 +109,7 @@ def solve_member(
     wrt = [(material, name) for material, name, _ in (*_BY_RATIO, *_BY_M)] if gradients else []
     try:
         found = session.solve(
-            records=True, field_gradients=gradients, wrt=wrt, required=_FEWEST, patient=False
+            records=True, field_gradients=gradients, wrt=wrt, stop=StopWhen(required=_FEWEST, patient=False)
         )
     finally:
         session.close()

@@ -66,7 +66,7 @@ def diagnosed(case: Case, out: Path) -> tuple[Diagnosis, Search]:
         model = SiteForwardModel([each.curves for each in prepared])
         model.settle_noise()
         run = _Run(model, 2, 7, False, SILENT)
-        return run.all(), run.search
+        return run.run(), run.search
     finally:
         for each in prepared:
             each.close()

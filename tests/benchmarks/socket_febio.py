@@ -95,9 +95,9 @@ def reference(feb: Path, *, slip_as_febio: bool = False) -> None:
     def visit(running, snapshot) -> None:
         print(f"step {snapshot.part}.{snapshot.step} at {time.process_time():.1f} s", flush=True)
         if snapshot.must:
-            (pair,) = running.system.pairs
+            (pair,), (contact,) = running.system.pairs, snapshot.forces.contact.points
             area, pressure, shear = (
-                np.concatenate(x) for x in zip(*map(tractions, pair.patches), strict=True)
+                np.concatenate(x) for x in zip(*map(tractions, pair.patches, contact), strict=True)
             )
             b = [each.name for each in running.system.bodies].index(SOCKET)
             force, shift = snapshot.forces.bodies[b, 2], snapshot.state.bodies[b].shift[2]

@@ -88,11 +88,11 @@ def load_kernels(model: LimbModel) -> None:
 
     system = System(model, threads=1)
     state = system.rest()
-    system.forces(state)
-    system.add_contact(state, system.pattern.values(system.stiffness(state)))
+    contact = system.forces(state).contact
+    system.add_contact(contact, system.pattern.values(system.stiffness(state)))
     zero = np.zeros_like(state.u)
     system.tangent_times(state, zero)
-    system.contact_times(state, zero, np.zeros((len(system.bodies), 6)))
+    system.contact_times(contact, zero, np.zeros((len(system.bodies), 6)))
 
 
 def growth(rows: list[dict[str, object]]) -> str:

@@ -80,14 +80,14 @@ def test_probabilities_are_those_of_fitting_everything(rng, hidden):
     """In a linear model estimates are exact but for the limits of sizes and the grid of the other effect:
     of 79 explanations, all that are likely are within 0.03 of what fits of all of them say."""
     case = toy.make(rng, hidden)
-    found, expected = {each.explanation: each.probability for each in search(case).all()}, exact(case)
+    found, expected = {each.explanation: each.probability for each in search(case).run()}, exact(case)
     assert found.keys() == expected.keys()
     assert sum(found.values()) == pytest.approx(1.0)
     assert max(abs(found[each] - expected[each]) for each in found) < 0.03
 
 
 def test_a_pair_is_found_that_neither_of_its_effects_explains(rng):
-    found = search(toy.make(rng, {"offset": 6.0, "wave": 6.0})).all()
+    found = search(toy.make(rng, {"offset": 6.0, "wave": 6.0})).run()
     assert set(found[0].explanation) == {"offset", "wave"}
     assert found[0].probability > 0.5
     assert found[0].simulated
@@ -95,7 +95,7 @@ def test_a_pair_is_found_that_neither_of_its_effects_explains(rng):
 
 
 def test_with_one_effect_at_the_most_there_are_no_pairs(rng):
-    found = search(toy.make(rng, {"offset": 6.0, "wave": 6.0}), most=1).all()
+    found = search(toy.make(rng, {"offset": 6.0, "wave": 6.0}), most=1).run()
     assert {len(each.explanation) for each in found} == {0, 1}
     assert sum(each.probability for each in found) == pytest.approx(1.0)
 
@@ -103,7 +103,7 @@ def test_with_one_effect_at_the_most_there_are_no_pairs(rng):
 def test_what_is_likely_rests_on_a_simulation_or_needs_none(rng):
     for readings in (frozenset(), frozenset(NAMES)):
         made = search(toy.make(rng, {"toe": 7.0}, readings=readings))
-        for each in made.all():
+        for each in made.run():
             assert each.probability <= decisions.UNSETTLED or each.explanation in made.settled
             assert each.simulated is (each.explanation in made.simulated)
         assert bool(made.simulated) is not bool(readings)
@@ -116,7 +116,7 @@ def test_before_a_pair_its_effects_alone_are_simulated(rng):
     order: list[Explanation] = []
     verified = case.verified
     case.verified = lambda fitted: (order.append(fitted.explanation), verified(fitted))[1]
-    pairs = [each.explanation for each in made.all() if len(each.explanation) == 2 and each.simulated]
+    pairs = [each.explanation for each in made.run() if len(each.explanation) == 2 and each.simulated]
     assert {"toe", "offset"} in map(set, pairs)
     assert all(order.index((name,)) < order.index(pair) for pair in pairs for name in pair)
 
@@ -129,10 +129,10 @@ def test_a_fit_that_fails_keeps_its_linear_estimate_and_is_reported(rng):
     """Left out, the others would share its probability: the most likely of them would be named in its
     place."""
     case = toy.make(rng, {"offset": 6.0})
-    whole = told(search(case).all(), "offset")
+    whole = told(search(case).run(), "offset")
     case.failing = "offset"
     made = search(case)
-    found = made.all()
+    found = made.run()
     assert made.not_evaluated["offset"] == "the toy does not converge"
     assert all(each.posterior is None for each in found if "offset" in each.explanation)
     assert told(found, "offset").keys() == whole.keys()
@@ -143,7 +143,7 @@ def test_a_fit_that_fails_keeps_its_linear_estimate_and_is_reported(rng):
 def test_a_fit_that_cannot_be_simulated_keeps_its_evidence_and_is_reported(rng):
     case = toy.make(rng, {"offset": 6.0}, unsimulated="offset")
     made = search(case)
-    found = made.all()
+    found = made.run()
     assert made.not_evaluated["offset"] == "the toy cannot be simulated"
     assert found[0].explanation == ("offset",)
     assert found[0].posterior is not None
@@ -160,7 +160,7 @@ def test_a_pair_is_estimated_about_the_fit_of_its_likely_effect(rng):
     """Exact there for one without a grid; the grid of another is averaged, as a fit does."""
     case = toy.make(rng, {"offset": 6.0})
     made = search(case)
-    found = {each.explanation: each for each in made.all()}
+    found = {each.explanation: each for each in made.run()}
     of_first, about = made.known[("offset",)].ln_evidence, made.linear[("offset",)]
     for other in ("wave", "hump", "place"):
         pair = ("offset", other)

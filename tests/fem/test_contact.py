@@ -58,7 +58,7 @@ def test_tangent_agrees_with_differences(kind: str, change, rng: np.random.Gener
     assert forces.n_touching > 3
     direction = rng.standard_normal(system.n_unknowns)
     direction[system.n_tissue :] *= 0.1
-    exact = assemble(system, state, forces.nodal).times(state, direction)
+    exact = assemble(system, state, forces.nodal).times(forces.contact, direction)
     h = 1e-7
     up, down = (system.forces(system.moved(state, s * h * direction)).residual for s in (1, -1))
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
@@ -209,6 +209,23 @@ def test_a_body_under_force_has_a_load_and_no_depth() -> None:
     assert told[-1] == (None, "force 0.02 N")
 
 
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_forces_are_a_function_of_the_state(friction: float, rng: np.random.Generator) -> None:
+    """Whatever is evaluated in between; so is the tangent of the contact that was found there."""
+    model = punch("tet10", (3, 2, 2))
+    contact = replace(model.contacts[0], friction=friction)
+    system = System(replace(model, contacts=(contact,)), threads=1)
+    state = system.moved(system.prescribed(system.rest(), 0.2), 1e-2 * rng.standard_normal(system.n_unknowns))
+    v = rng.standard_normal(system.n_unknowns)
+    first = system.forces(state)
+    change = system.contact_change(first.contact, v)
+    deeper = system.forces(system.prescribed(state, 0.9))
+    assert first.n_touching > 0
+    assert np.abs(deeper.residual - first.residual).max() > np.abs(first.residual).max()
+    np.testing.assert_array_equal(system.forces(state).residual, first.residual)
+    np.testing.assert_array_equal(system.contact_change(first.contact, v), change)
+
+
 def test_augmentations_go_on_as_febios() -> None:
     """Until multipliers and gap settle, within minaug and maxaug; without a tolerance there are none."""
     model = punch("hex8", (2, 2, 2), depth=0.5, levels=1)
@@ -217,9 +234,9 @@ def test_augmentations_go_on_as_febios() -> None:
     def gap(more: dict[str, str] | None = None, **change: object) -> float:
         """The largest (mm) of the points that press at the end."""
         analysis = Analysis(replace(model, contacts=(replace(soft, more=more or {}, **change),)), QUICK)
-        analysis.run()
-        states = [p.state for pair in analysis.system.pairs for p in pair.patches]
-        return max(float(s[s[..., TRACTION] > 0, GAP].max()) for s in states)
+        contact = analysis.run()[-1].forces.contact
+        found = [points for pair in contact.points for points in pair]
+        return max(float(points[points[..., TRACTION] > 0, GAP].max()) for points in found)
 
     plain = gap(augmented=False)
     assert gap(tolerance=0.0) == gap({"maxaug": "0"}) == plain

@@ -219,7 +219,7 @@ def test_the_tangent_of_a_following_load_agrees_with_differences(
     tangent = assemble(system, start, forces.nodal)
     assert tangent.loads is not None
     direction = rng.standard_normal(system.n_unknowns)
-    exact = tangent.times(start, direction)
+    exact = tangent.times(forces.contact, direction)
     h = 1e-6
     up, down = (system.forces(system.moved(start, s * h * direction)).residual for s in (1, -1))
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=2e-6 * abs(exact).max())

@@ -23,6 +23,7 @@ from limbcli.model import Curve, Curved, ElementMap, LimbModel, Material, Step, 
 from limbcli.model.bodies import Drive
 from limbcli.solvers.reference import prepare
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_options import StopWhen
 from limbcli.solvers.session_parameters import nudged
 
 QUICK = Settings(tolerance=1e-8, threads=1)
@@ -79,20 +80,19 @@ def test_tangent_agrees_with_differences(
     system = System(model, threads=1)
     state = system.prescribed(system.rest(), 0.1)
     state = system.moved(state, 1e-2 * rng.standard_normal(system.n_unknowns))
-    system.forces(state)
-    system.remember(replace(state, hints=system.hints()))
+    system.remember(system.search(state).state)
     if pulled:  # shear of the size of what friction bears
         for patch, pull in zip(system.pairs[0].patches, system.pairs[0].pulls, strict=True):
             pull[:] = 0.003 * patch.eps[:, None, None] * rng.standard_normal(pull.shape)
     step = 1.2e-2 * rng.standard_normal(system.n_unknowns)
     state = system.moved(system.prescribed(state, 0.14), step)
     forces = system.forces(state)
-    sticks = [p.state[..., friction_kernels.STICKS] > 0 for p in system.pairs[0].patches]
+    sticks = [points[..., friction_kernels.STICKS] > 0 for points in forces.contact.points[0]]
     n_sticking = sum(int(each.sum()) for each in sticks)
     assert 2 < n_sticking < forces.n_touching - 2
     direction = rng.standard_normal(system.n_unknowns)
     direction[system.n_tissue :] *= 0.1
-    exact = assemble(system, state, forces.nodal).times(state, direction)
+    exact = assemble(system, state, forces.nodal).times(forces.contact, direction)
     h = 1e-7
     up, down = (system.forces(system.moved(state, s * h * direction)).residual for s in (1, -1))
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
@@ -130,9 +130,9 @@ def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu
 
     def end(**change: object) -> tuple[np.ndarray, float]:
         contacts = tuple(replace(each, **change) for each in model.contacts)
-        analysis, at_end = last(replace(model, contacts=contacts))
-        states = [p.state for pair in analysis.system.pairs for p in pair.patches]
-        stick = np.mean([(state[..., friction_kernels.STICKS] > 0).mean() for state in states])
+        _, at_end = last(replace(model, contacts=contacts))
+        found = [points for pair in at_end.forces.contact.points for points in pair]
+        stick = np.mean([(points[..., friction_kernels.STICKS] > 0).mean() for points in found])
         return at_end.forces.bodies[0, :3], float(stick)
 
     stiff, sticking = end(penalty=400.0)
@@ -161,21 +161,18 @@ def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:
     model = dragged(2.0)
     system = System(model, threads=1)
     pressed = system.prescribed(system.rest(), 1.0)
-    system.forces(pressed)
-    system.remember(replace(pressed, hints=system.hints()))
+    system.remember(system.search(pressed).state)
     slipped = system.prescribed(pressed, 2.0)
-    drag = abs(float(system.forces(slipped).bodies[0, 0]))
+    forces = system.forces(slipped)
+    drag = abs(float(forces.bodies[0, 0]))
     assert drag > 0.0
 
     def resistance(along: int, *, far: bool) -> float:
         motions = np.zeros((1, 6))
         motions[0, along] = 1.0
-        out, body = np.zeros((len(system.X), 3)), np.zeros(6)
-        pair = system.pairs[0]
-        with system.full_contact_tangent(not far):
-            v = np.zeros((len(system.X), 3))
-            pair.times(system.X + slipped.u, pair.rigid.center, v, motions[0], out, body)
-        return float(body[along])
+        contact = replace(forces.contact, full_tangent=not far)
+        _, bodies = system.contact_times(contact, np.zeros_like(system.X), motions)
+        return -float(bodies[0, along])
 
     assert resistance(0, far=False) == pytest.approx(0.0, abs=1e-9 * drag)
     assert resistance(1, far=False) == pytest.approx(-drag / 2.0, rel=1e-9)
@@ -243,15 +240,17 @@ def test_a_residual_that_stands_will_do_with_friction_alone() -> None:
 
 def test_a_block_far_from_the_probe_is_left_alone() -> None:
     model = block("tet4", (2, 2, 2))
-    assert not Analysis(model, QUICK).remembers
-    assert Analysis(indented(0.1), QUICK).remembers
+    assert not model.remembers
+    assert indented(0.1).remembers
 
 
 def test_differenced_solves_take_all_that_was_asked() -> None:
     """Levels, the force that is enough, tied parameters, and which solves lead."""
     model = indented(0.3)
     with closing(ReferenceSession(model, threads=1, tolerance=1e-9)) as session:
-        first = session.solve(last=2, wrt=[("tissue", "m1-m2"), ("tissue", "m1"), ("tissue", "m2")])
+        first = session.solve(
+            stop=StopWhen(last=2), wrt=[("tissue", "m1-m2"), ("tissue", "m1"), ("tissue", "m2")]
+        )
         led = session.kept_levels
         assert led is first.levels
         by = first.force_gradient
@@ -259,7 +258,7 @@ def test_differenced_solves_take_all_that_was_asked() -> None:
         tied, apart = by["tissue", "m1-m2"], by["tissue", "m1"] - by["tissue", "m2"]
         np.testing.assert_allclose(tied, apart, rtol=1e-3, atol=1e-3 * abs(by["tissue", "m1"]).max())
         enough = 0.9 * float(first.must_points.forces[0])
-        short = session.solve(wrt=[("tissue", "c1")], enough_force=enough, keep_levels=False)
+        short = session.solve(wrt=[("tissue", "c1")], stop=StopWhen(enough_force=enough), keep_levels=False)
         assert len(short.must_points.times) == len(short.force_gradient["tissue", "c1"]) == 1
         assert session.kept_levels is led
         assert session.model is model

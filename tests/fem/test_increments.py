@@ -12,9 +12,9 @@ from small_models import punch
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium import relaxation
-from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
+from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath, Reached
 from limbcli.fem.equilibrium.load_stepping import LoadStepping
-from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, NotConverged, Settings
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import RoughState, State
 from limbcli.materials import ogden_type
@@ -25,13 +25,20 @@ FAILED = NotConverged("no", where="here", fix="none")
 NO_FACTOR = SingularMatrix("no", where="here", fix="none")
 
 
+def beginning(**newton: object) -> LoadStepping:
+    """The stepping of a model, with a solver of which there is only this."""
+    system = SimpleNamespace(start=SimpleNamespace(time=0.0), prescribed=lambda known, time: known)
+    step = Step(n_steps=10, step_size=0.1)
+    return LoadStepping(punch(), step, SimpleNamespace(system=system, counts=Counts(), **newton))
+
+
 @pytest.mark.parametrize(
     ("changed", "outcome"),
     [
         ({}, IncrementOutcome.SHORTEN),
         ({"exhausted": True}, IncrementOutcome.BEGIN_AGAIN),
         ({"length": 1e-5}, IncrementOutcome.BEGIN_AGAIN),
-        ({"exhausted": True, "mixed": False}, IncrementOutcome.HOPELESS),
+        ({"exhausted": True, "volume_ratios": False}, IncrementOutcome.HOPELESS),
         ({"exhausted": True, "timed": True}, IncrementOutcome.HOPELESS),
         ({"exhausted": True, "friction": True}, IncrementOutcome.HOPELESS),
         ({"exhausted": True, "brief": True}, IncrementOutcome.HOPELESS),
@@ -42,15 +49,13 @@ NO_FACTOR = SingularMatrix("no", where="here", fix="none")
 )
 def test_how_it_goes_on_after_a_failure(changed: dict[str, object], outcome: IncrementOutcome) -> None:
     case = {
-        "exhausted": False, "length": 0.1, "mixed": True, "timed": False, "friction": False, "brief": False,
-        "error": FAILED, "n_reached": 1, **changed,
+        "exhausted": False, "length": 0.1, "volume_ratios": True, "timed": False, "friction": False,
+        "brief": False, "error": FAILED, "n_reached": 1, **changed,
     }  # fmt: skip
-    stepping = LoadStepping()
+    stepping = beginning(volume_ratios=case["volume_ratios"])
     stepping._timed, stepping._has_friction = case["timed"], case["friction"]
-    stepping._newton = SimpleNamespace(mixed=case["mixed"])
-    stepping._reached = [SimpleNamespace(time=0.0)] * case["n_reached"]
-    stepping._step = Step(n_steps=10, step_size=0.1)
-    way = LoadStepPath(1.0, LoadStep(1, 1, None), None, case["brief"], 8, None, (1, 0, 0))
+    stepping._reached = Reached((SimpleNamespace(time=0.0),) * case["n_reached"], 0.1)
+    way = LoadStepPath(1.0, LoadStep(1, 1, None), None, case["brief"], 8, None, stepping._reached)
     increment = Increment(0.0, case["length"], 1.0, 0, is_last=False)
     assert stepping._outcome(way, increment, case["error"], case["exhausted"]) is outcome
 
@@ -59,13 +64,9 @@ def test_how_it_goes_on_after_a_failure(changed: dict[str, object], outcome: Inc
     ("error", "rough", "refused"), [(3.0, True, False), (3.0, False, True), (30.0, True, True)]
 )
 def test_a_rough_guess_may_be_farther_out(error: float, rough: bool, refused: bool) -> None:
-    stepping = LoadStepping()
-    stepping._newton = SimpleNamespace(
-        system=SimpleNamespace(prescribed=lambda known, time: known), failure=lambda *_: FAILED
-    )
-    stepping._reached, stepping._pairs, stepping._incremental = [SimpleNamespace(time=0.0)] * 2, [], True
-    stepping._best = lambda guesses, time: (error, guesses[0], None)
-    stepping._tried = SimpleNamespace()
+    stepping = beginning(failure=lambda *_: FAILED)
+    stepping._reached, stepping._incremental = Reached((SimpleNamespace(time=0.0),) * 2, 0.1), True
+    stepping._best = lambda guesses, time: (error, guesses[0], SimpleNamespace())
     known = (RoughState if rough else State)(0.5, np.zeros((4, 3)), ())
     if refused:
         with pytest.raises(NotConverged):
@@ -111,7 +112,7 @@ def test_a_failure_tells_the_time_and_the_depth_there(monkeypatch: pytest.Monkey
 
     def fails(self, guess, load_step, **options):
         if guess.time > 0.3:
-            raise self.failure(guess, self.forces(guess), load_step, 0, "no")
+            raise self.failure(self.forces(guess), load_step, 0, "no")
         return solve(self, guess, load_step, **options)
 
     monkeypatch.setattr(Newton, "equilibrate", fails)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from small_models import punch
 
@@ -20,29 +22,31 @@ def pressed(
     linearised = Linearised(system, Settings(threads=1, linear=linear), Counts())
     state = system.prescribed(system.rest(), 0.2)
     state = system.moved(state, size * rng.standard_normal(system.n_unknowns))
-    linearised.refresh(state, system.forces(state).nodal)
+    linearised.refresh(state, system.forces(state))
     return linearised, state
 
 
 def test_contact_matrix_is_the_contact_tangent(rng: np.random.Generator) -> None:
     linearised, state = pressed(rng)
     system = linearised.system
-    n = system.n_tissue
-    dense = system.contact_matrix(state, system.equations, n).toarray()
+    n, contact = system.n_tissue, system.search(state)
+    dense = system.contact_matrix(contact, system.equations, n).toarray()
     v = rng.standard_normal(n)
     assert abs(dense).max() > 0
-    np.testing.assert_allclose(dense @ v, system.contact_change(state, v), atol=1e-12 * abs(dense).max())
-    upper = system.add_contact(state, np.zeros(len(system.pattern.indices)))
+    np.testing.assert_allclose(dense @ v, system.contact_change(contact, v), atol=1e-12 * abs(dense).max())
+    upper = system.add_contact(contact, np.zeros(len(system.pattern.indices)))
     np.testing.assert_allclose(
         system.pattern.matrix(upper).toarray(), 0.5 * (dense + dense.T), atol=1e-12 * abs(dense).max()
     )
 
 
 def test_the_nodes_that_touch_are_within_reach(rng: np.random.Generator) -> None:
-    system = pressed(rng)[0].system
+    linearised, state = pressed(rng)
+    system = linearised.system
     within = set(system.within_reach().tolist())
     patch = system.pairs[0].patches[0]
-    touching = np.unique(patch.facets[system.touching()[0].any(axis=1)])
+    touched = system.search(state).touching.reshape(len(patch.facets), -1)
+    touching = np.unique(patch.facets[touched.any(axis=1)])
     wanted = system.equations[touching].ravel()
     assert len(within) < system.n_tissue
     assert set(wanted[wanted >= 0].tolist()) <= within
@@ -77,13 +81,15 @@ def test_settled_tissue_and_contact_are_in_balance(rng: np.random.Generator) -> 
     system = linearised.system
     for far, part in ((True, 0.1), (False, 1e-4)):
         forces = system.forces(state)
-        linearised.refresh(state, forces.nodal)
-        tissue = forces.residual - system.contact_residual(state)
+        linearised.refresh(state, forces)
+        tissue = forces.residual - system.contact_residual(forces.contact)
         goal = part * norm(forces.residual)
-        step = linearised.settle(state, tissue, goal, far=far)
+        step, contact = linearised.settle(state, tissue, goal, forces.contact, far=far)
         assert linearised.tangent is not None
         after = system.moved(state, step)
-        left = tissue + linearised.tangent.tissue_times(step) + system.contact_residual(after, search=True)
+        pushed = system.contact_residual(system.search(after))
+        np.testing.assert_allclose(system.contact_residual(contact), pushed, atol=1e-12)
+        left = tissue + linearised.tangent.tissue_times(step) + pushed
         assert norm(left) <= goal
         state = after
 
@@ -95,9 +101,7 @@ def test_the_factor_follows_the_contact(rng: np.random.Generator) -> None:
         linearised, state = pressed(rng, linear=linear)
         system = linearised.system
         deeper = system.prescribed(state, 0.8)
-        system.forces(deeper)
         rhs = rng.standard_normal(system.n_unknowns)
-        with system.full_contact_tangent(False):
-            linearised.solve(deeper, rhs, 1e-4)
+        linearised.solve(replace(system.search(deeper), full_tangent=False), rhs, 1e-4)
         used[linear] = linearised.rate
     assert used["multifrontal"] < 0.6 * used["superlu"]

@@ -9,6 +9,7 @@ import pytest
 from small_models import punch
 
 from limbcli.errors import SolveError
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.equilibrium.load_stepping import BRIEF_CUTS
 from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State
@@ -16,6 +17,7 @@ from limbcli.materials import ogden_type
 from limbcli.model import Array, LimbModel
 from limbcli.model.bodies import Drive
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_options import StartFrom, StopWhen
 
 
 def too_deep() -> LimbModel:
@@ -30,13 +32,15 @@ def too_deep() -> LimbModel:
 @pytest.mark.slow
 def test_a_level_that_is_not_required_ends_the_run_and_one_that_is_fails_it():
     session = ReferenceSession(too_deep(), threads=1)
-    reached = session.solve(required=1).must_points
+    reached = session.solve(stop=StopWhen(required=1)).must_points
     assert reached.depths == pytest.approx([1.05])
     with pytest.raises(SolveError, match="load step 2 of 2"):
         session.solve()
-    assert session.solve(required=1).must_points.forces == pytest.approx(reached.forces, rel=1e-5)
+    assert session.solve(stop=StopWhen(required=1)).must_points.forces == pytest.approx(
+        reached.forces, rel=1e-5
+    )
     brief = session._analysis.counts.retries
-    full = session.solve(required=1, full_effort=2).must_points.forces
+    full = session.solve(stop=StopWhen(required=1, full_effort=2)).must_points.forces
     assert full == pytest.approx(reached.forces, rel=1e-5)
     assert session._analysis.counts.retries - brief > BRIEF_CUTS + 1  # with the full effort
     session.close()
@@ -94,9 +98,10 @@ def test_a_solve_may_be_led_by_levels_of_its_own():
     requested = base.with_material("tissue", ogden_type(c=0.005, f_kappa=5.0, m=6.0))
     session = ReferenceSession(base, threads=1)
     first = session.solve()
-    alone, other = (session.solve(each, keep_levels=False, independent=True) for each in (requested, near))
-    led = session.solve(requested, keep_levels=False, independent=True, start_levels=other.levels)
-    again = session.solve(requested, keep_levels=False, independent=True)
+    afresh = StartFrom(independent=True)
+    alone, other = (session.solve(each, keep_levels=False, start=afresh) for each in (requested, near))
+    led = session.solve(requested, keep_levels=False, start=replace(afresh, levels=other.levels))
+    again = session.solve(requested, keep_levels=False, start=afresh)
     session.close()
     np.testing.assert_allclose(led.must_points.forces, alone.must_points.forces, rtol=1e-5)
     counts = np.diff([each.simulation.n_iterations for each in (first, alone, other, led, again)])
@@ -106,7 +111,7 @@ def test_a_solve_may_be_led_by_levels_of_its_own():
 def test_levels_after_the_last_that_is_asked_for_are_not_tried():
     session = ReferenceSession(punch(levels=3), threads=1)
     every = session.solve().must_points
-    some = session.solve(last=2).must_points
+    some = session.solve(stop=StopWhen(last=2)).must_points
     session.close()
     assert len(every.depths) == 3
     assert some.forces == pytest.approx(every.forces[:2], rel=1e-5)
@@ -116,7 +121,7 @@ def test_a_run_ends_with_the_first_level_that_bears_enough():
     session = ReferenceSession(punch(levels=3), threads=1)
     every = session.solve().must_points
     between = float(every.forces[:2].mean())
-    some = session.solve(enough_force=between).must_points
+    some = session.solve(stop=StopWhen(enough_force=between)).must_points
     session.close()
     assert some.forces == pytest.approx(every.forces[:2], rel=1e-5)
 
@@ -140,19 +145,19 @@ def test_residuals_that_come_in_turns_are_seen_and_falling_ones_are_not():
     def noted(*errors: float) -> Stagnation:
         stagnation = Stagnation(5e-3)
         for k, error in enumerate(errors):
-            state = State(float(k), np.zeros((1, 3)), ())
+            contact = ContactState(State(float(k), np.zeros((1, 3)), ()), (), 1)
             residual = np.array([error])
-            stagnation.note(state, Forces(residual, residual, residual, 1.0, 1, 1.0, (0, 0), residual))
+            stagnation.note(Forces(residual, residual, residual, 1.0, contact, 1.0, (0, 0), residual))
         return stagnation
 
     turns = noted(0.1, 2.7e-3, 1.95e-3, 2.71e-3, 1.951e-3)
-    assert turns.goes_round
-    assert turns.state is not None
-    assert turns.state.time == 2.0
-    assert not noted(0.1, 2.7e-3, 1.95e-3, 1.4e-3, 1.2e-3).goes_round
-    assert not noted(0.1, 0.27, 0.195, 0.27, 0.195).goes_round  # too large to do, and yet it may end
-    assert noted(0.1, *[0.27, 0.195] * 6).goes_round, "twelve in turn lead nowhere"
-    assert not noted(*[0.27 * 0.95**k for k in range(20)]).goes_round
+    assert turns.repeats
+    assert turns.least is not None
+    assert turns.least.contact.state.time == 2.0
+    assert not noted(0.1, 2.7e-3, 1.95e-3, 1.4e-3, 1.2e-3).repeats
+    assert not noted(0.1, 0.27, 0.195, 0.27, 0.195).repeats  # too large to do, and yet it may end
+    assert noted(0.1, *[0.27, 0.195] * 6).repeats, "twelve in turn lead nowhere"
+    assert not noted(*[0.27 * 0.95**k for k in range(20)]).repeats
 
 
 def test_a_solve_afresh_depends_on_nothing_but_the_levels_that_lead():
@@ -163,7 +168,7 @@ def test_a_solve_afresh_depends_on_nothing_but_the_levels_that_lead():
         session = ReferenceSession(base, threads=1, tolerance=1e-3)
         for each in before:
             session.solve(each, keep_levels=False)
-        found = session.solve(laws[0], independent=independent).must_points.forces
+        found = session.solve(laws[0], start=StartFrom(independent=independent)).must_points.forces
         session.close()
         return found
 

@@ -38,15 +38,15 @@ def test_tangent_agrees_with_differences_in_the_fade(kind: str, rng: np.random.G
     state = system.moved(state, 2e-2 * rng.standard_normal(system.n_unknowns))
     forces = system.forces(state)
     weights = np.concatenate(
-        [p.state[p.state[..., TRACTION] > 0][:, WEIGHT] for p in system.pairs[0].patches]
+        [points[points[..., TRACTION] > 0][:, WEIGHT] for points in forces.contact.points[0]]
     )
     assert ((weights > 0.05) & (weights < 0.95)).sum() > 3, "points in the fade"
     direction = rng.standard_normal(system.n_unknowns)
-    exact = assemble(system, state, forces.nodal).times(state, direction)
-    places = np.arange(system.n_tissue)
-    matrix = system.contact_matrix(state, np.append(places, -1)[system.equations], system.n_tissue)
+    exact = assemble(system, state, forces.nodal).times(forces.contact, direction)
+    rows = np.arange(system.n_tissue)
+    matrix = system.contact_matrix(forces.contact, np.append(rows, -1)[system.equations], system.n_tissue)
     np.testing.assert_allclose(
-        matrix @ direction, system.contact_change(state, direction)[: system.n_tissue], atol=1e-12
+        matrix @ direction, system.contact_change(forces.contact, direction)[: system.n_tissue], atol=1e-12
     )
     h = 1e-7
     up, down = (system.forces(system.moved(state, s * h * direction)).residual for s in (1, -1))
@@ -70,13 +70,13 @@ def test_a_traction_does_not_jump_as_a_point_passes_the_rim() -> None:
 
 def test_tractions_are_as_ever_away_from_the_rim() -> None:
     system, _ = pressed("tet10")
-    system.forces(system.prescribed(system.rest(), 0.5))
+    points = system.search(system.prescribed(system.rest(), 0.5)).points[0][0]
     patch = system.pairs[0].patches[0]
-    inside = patch.state[..., WEIGHT] == 1.0
-    touched = patch.state[..., TRACTION] > 0
+    inside = points[..., WEIGHT] == 1.0
+    touched = points[..., TRACTION] > 0
     assert (inside & touched).sum() > 0.8 * touched.sum()
-    plain = (patch.eps[:, None] * patch.state[..., GAP])[inside & touched]
-    np.testing.assert_allclose(patch.state[..., TRACTION][inside & touched], plain, rtol=1e-12)
+    plain = (patch.eps[:, None] * points[..., GAP])[inside & touched]
+    np.testing.assert_allclose(points[..., TRACTION][inside & touched], plain, rtol=1e-12)
 
 
 def test_only_edges_of_one_facet_end_a_surface() -> None:

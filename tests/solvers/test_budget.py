@@ -10,7 +10,10 @@ import pytest
 from limbcli.progress import Progress
 from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_options import StartFrom, StopWhen
 from tests.fem.small_models import punch
+
+AFRESH = StartFrom(independent=True)
 
 
 @pytest.mark.parametrize(
@@ -36,7 +39,7 @@ def test_a_solve_is_charged_for_all_its_operations_and_for_no_others():
     counted = []
     for each in budgets:
         seen.clear()
-        session.solve(keep_levels=False, independent=True, budget=each)
+        session.solve(keep_levels=False, start=AFRESH, stop=StopWhen(budget=each))
         newton = [facts for kind, facts in seen if kind == "newton"]
         last = newton[-1]
         counted.append(10 * len(newton) + last["krylov"] + 20 * last["factorisations"])
@@ -48,14 +51,14 @@ def test_a_solve_is_charged_for_all_its_operations_and_for_no_others():
 def test_a_spent_budget_ends_a_solve_with_what_it_reached_if_that_is_enough():
     session = ReferenceSession(punch(levels=3), threads=1)
     whole = Budget()
-    every = session.solve(keep_levels=False, independent=True, budget=whole).must_points
+    every = session.solve(keep_levels=False, start=AFRESH, stop=StopWhen(budget=whole)).must_points
     short = 0.9 * whole.spent
     with pytest.raises(BudgetSpent) as stopped:
-        session.solve(keep_levels=False, independent=True, budget=Budget(allowed=short))
+        session.solve(keep_levels=False, start=AFRESH, stop=StopWhen(budget=Budget(allowed=short)))
     some = session.solve(
-        keep_levels=False, independent=True, required=1, budget=Budget(allowed=short)
+        keep_levels=False, start=AFRESH, stop=StopWhen(required=1, budget=Budget(allowed=short))
     ).must_points
-    unlimited = session.solve(keep_levels=False, independent=True).must_points
+    unlimited = session.solve(keep_levels=False, start=AFRESH).must_points
     session.close()
     assert stopped.value.facts["allowed"] == short
     assert 1 <= len(some.forces) < 3

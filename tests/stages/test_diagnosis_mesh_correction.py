@@ -167,7 +167,7 @@ def test_the_deepest_depths_of_the_own_mesh_are_attempted_but_not_required(tmp_p
     given, solve = [], ReferenceSession.solve
 
     def noted(self, *args, **options):
-        given.append((options["required"], options["full_effort"]))
+        given.append((options["stop"].required, options["stop"].full_effort))
         return solve(self, *args, **options)
 
     simulations = _simulations(tmp_path)

@@ -19,6 +19,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.solvers.session import ReferenceSession, SessionResult
+from limbcli.solvers.session_options import StartFrom, StopWhen
 from limbcli.solvers.solve_folder import SolveFolder
 
 if TYPE_CHECKING:
@@ -127,12 +128,15 @@ class SiteSolver:
             start = None if key is None else self.memo.levels(key)
         try:
             with self._session_for(model, m, ingredients) as session:
-                result = session.solve(
-                    model, records=True, required=self.n_required, full_effort=n_full,
-                    keep_levels=not ingredients, patient=not candidate, independent=True, start_levels=start,
+                stop = StopWhen(
+                    required=self.n_required, full_effort=n_full, patient=not candidate, budget=budget,
                     last=None if m == USUAL_M and not ingredients else n_full,
-                    enough_force=self.reach.enough_force, budget=budget,
+                    enough_force=self.reach.enough_force,
                 )  # fmt: skip
+                begin = StartFrom(levels=start, independent=True)
+                result = session.solve(
+                    model, records=True, stop=stop, start=begin, keep_levels=not ingredients
+                )
         except ArithmeticError as error:
             raise SolveError(f"the law overflows ({error})", where="diagnose", fix="none") from error
         except BudgetSpent as error:

@@ -46,7 +46,7 @@ def diagnose(
     LimbError
         If the base model itself cannot be fitted.
     """
-    return _Run(forward_model, max_effects, seed, propose, progress).all()
+    return _Run(forward_model, max_effects, seed, propose, progress).run()
 
 
 @dataclass(eq=False)
@@ -61,7 +61,7 @@ class _Run:
     several: list[Explained] = field(default_factory=list)
     checks: dict[Explanation, Check] = field(default_factory=dict)
 
-    def all(self) -> Diagnosis:
+    def run(self) -> Diagnosis:
         model = self.forward_model
         self.facts: dict[str, Facts] = {each.name: each for each in model.candidates}
         base = model.fit((), {})
@@ -82,7 +82,7 @@ class _Run:
         linear = self.search.linear[()]
         self.search.odds = PriorOdds(len(linear.added), most_effects=self.max_effects)
         self.limit = least_by_chance(linear, self.search.odds.ln_single, self._rng(1))
-        self.several = self.search.all()
+        self.several = self.search.run()
         return self._concluded()
 
     def _rng(self, stream: int) -> np.random.Generator:

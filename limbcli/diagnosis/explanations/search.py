@@ -65,7 +65,7 @@ class Search:
     def data(self) -> Data:
         return self.forward_model.data
 
-    def all(self) -> list[Explained]:
+    def run(self) -> list[Explained]:
         """All explanations, the most probable first."""
         for name in self.linear[()].added:
             self._fit((name,))

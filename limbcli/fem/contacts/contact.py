@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem.contacts.contact_points import FACET, N_STATE
 from limbcli.fem.contacts.friction import FrictionPair
 from limbcli.fem.contacts.pairs import Pair, rim_widths
 from limbcli.fem.contacts.patch import Patch
@@ -32,10 +31,10 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
         if contact.friction:  # no fading at the rim: a sticking point does not slide off
             sharp = np.zeros(facets2.shape)
-            pairs.append(FrictionPair(contact, body, facets2, patches, sharp, bodies[body]))
+            pairs.append(FrictionPair(contact, body, bodies[body], facets2, patches, sharp))
         else:
             rim = rim_widths(model.mesh.points, facets2, patches)
-            pairs.append(Pair(contact, body, facets2, patches, rim))
+            pairs.append(Pair(contact, body, bodies[body], facets2, patches, rim))
     return pairs
 
 
@@ -113,12 +112,9 @@ def _patch(model: LimbModel, kind: str, facets: IntArray, groups: Sequence[Group
     for k, each in enumerate(groups):
         mine = group == k
         volume[mine] = each.weight[cell[mine]].sum(axis=1)
-    shape_of_state = (len(facets), len(weights))
-    state = np.zeros((*shape_of_state, N_STATE))
-    state[..., FACET] = -1
     return Patch(
         facets, N, dN, weights, group, cell, area, area / volume, normals,
-        np.zeros(len(facets)), np.zeros(shape_of_state), state,
+        np.zeros(len(facets)), np.zeros((len(facets), len(weights))),
     )  # fmt: skip
 
 

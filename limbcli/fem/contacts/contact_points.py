@@ -103,12 +103,12 @@ def add_symmetric(blocks, touched, pairs, slots, values):
         if not touched[f]:
             continue
         K = blocks[f]
-        place = 0
+        k = 0
         for b in range(K.shape[0]):
             for a in range(b + 1):
-                pair = pairs[f, place] // 2
-                swapped = pairs[f, place] % 2 == 1
-                place += 1
+                pair = pairs[f, k] // 2
+                swapped = pairs[f, k] % 2 == 1
+                k += 1
                 for i in range(3):
                     for j in range(3):
                         slot = slots[pair, j, i] if swapped else slots[pair, i, j]

@@ -21,7 +21,7 @@ from limbcli.fem.contacts.contact_points import (
 )
 from limbcli.numbers.compiled import njit
 
-_PLACE, _ALONG = 7, 9  # columns of a hit after g, m, q: natural coordinates, and their gradients
+_NATURAL, _ALONG = 7, 9  # columns of a hit after g, m, q: natural coordinates, and their gradients
 
 
 @njit
@@ -62,7 +62,7 @@ def _hit_triangle(x2, first, second, third, r, nu, tolerance, out):
 @njit
 def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
     """Fill `out` for a hit; along_s, along_t : derivatives of the position with respect to s and t."""
-    out[0], out[_PLACE], out[_PLACE + 1] = g, s, t
+    out[0], out[_NATURAL], out[_NATURAL + 1] = g, s, t
     cross(along_t, m, out[_ALONG : _ALONG + 3])
     cross(m, along_s, out[_ALONG + 3 : _ALONG + 6])
     mm = m[0] ** 2 + m[1] ** 2 + m[2] ** 2
@@ -128,7 +128,7 @@ def _hit(x2, nodes, rim, r, nu, tolerance, out):
         met = _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, wide, out)
     if met and wide > tolerance:  # at edges without a rim the usual tolerance applies
         for edge in range(4 if quad else 3):
-            if rim[edge] == 0.0 and _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) > tolerance:
+            if rim[edge] == 0.0 and _beyond(edge, quad, out[_NATURAL], out[_NATURAL + 1]) > tolerance:
                 return False
     return met
 
@@ -150,7 +150,7 @@ def _fade(out, quad, rim, row):
         width = rim[edge]
         if width == 0.0:
             continue
-        h = _beyond(edge, quad, out[_PLACE], out[_PLACE + 1]) / width
+        h = _beyond(edge, quad, out[_NATURAL], out[_NATURAL + 1]) / width
         if h <= -1.0:
             continue
         if h >= 1.0:
@@ -207,7 +207,7 @@ def search(
                 for i in range(15):
                     best[i] = out[i]
                 found = True
-                place = hint
+                nearest = hint
             if not found:
                 for j in range(facets2.shape[0]):
                     d2, along = 0.0, 0.0
@@ -224,11 +224,11 @@ def search(
                         for i in range(15):
                             best[i] = out[i]
                         found = True
-                        place = j
+                        nearest = j
             if not found:
                 continue
             gap = best[0]
-            weight = _fade(best, facets2[place, 3] >= 0, rim[place], row)
+            weight = _fade(best, facets2[nearest, 3] >= 0, rim[nearest], row)
             traction = weight * (multiplier[f, k] + eps[f] * gap)
             if gap > radius or traction <= 0.0:
                 continue
@@ -239,6 +239,6 @@ def search(
                 row[OTHER + i] = best[1 + i]
                 row[POINT + i] = best[4 + i]
             row[TRACTION] = traction
-            row[FACET] = place
+            row[FACET] = nearest
             row[WEIGHT] = weight
     return count

@@ -104,7 +104,7 @@ def _slip(row, before, move, pull, eps, r, g1, g2, n, y, c, m):
 
 
 @njit
-def resist(x, facets, N, dN, eps, mu, before, move, pull, state):
+def resist(x, facets, N, dN, eps, state, mu, before, move, pull):
     """Determine stick or slip and the traction T of every touching point; returns how many stick.
 
     pull (n_facets, n_gauss, 3) : multipliers of T
@@ -262,7 +262,7 @@ def _change(
 
 @njit
 def times(
-    x, facets, N, dN, weights, eps, mu, yields, before, move, pull, state, center, v, motion, out, body
+    x, facets, N, dN, weights, eps, state, yields, center, v, motion, out, body, mu, before, move, pull
 ):
     """Derivative of `force` along v (n_points, 3) and the body's motion (6), at fixed stick-slip status."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
@@ -290,13 +290,13 @@ def times(
 
 
 @njit
-def blocks(x, facets, N, dN, weights, eps, mu, yields, couples, before, move, pull, state, center, out):
+def blocks(x, facets, N, dN, weights, eps, state, yields, out, mu, before, move, pull, couples):
     """Tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
     nodes = facets.shape[1]
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m = np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    still = np.zeros(6)
+    still, center = np.zeros(6), np.zeros(3)  # of the body, which does not move
     touched = np.zeros(facets.shape[0], dtype=np.bool_)
     for f in range(facets.shape[0]):
         K = out[f]

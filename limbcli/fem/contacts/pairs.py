@@ -5,21 +5,22 @@ The compiled loops, and the law itself, are in `contact_kernels`.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import partial
+from types import ModuleType
+from typing import Any, ClassVar
 
 import numpy as np
 
 from limbcli.fem.contacts import contact_kernels as kernels
-from limbcli.fem.contacts.contact_points import FACET, GAP, TRACTION, WEIGHT
+from limbcli.fem.contacts.contact_points import FACET, GAP, N_STATE, TRACTION, WEIGHT
 from limbcli.fem.contacts.contact_search import search
 from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.contacts.penalty import penalties
 from limbcli.fem.elements.assembly import Threads
 from limbcli.fem.elements.groups import Group
-from limbcli.fem.motion.rigid import BodyState
+from limbcli.fem.motion.rigid import Body, BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, IntArray
 from limbcli.model.bodies import Contact
@@ -34,73 +35,98 @@ _FADE, _MOST_FADE = 0.03, 0.2
 class Pair:
     """One contact of the model: soft patches against the facets of a body.
 
+    body, rigid : the body on the rigid side, its number and itself
     rim (n_facets2, 4) : half-widths of the fading zones at the free edges of the rigid surface (`rim_widths`)
-    full_tangent : 1 for the exact tangent; 0 omits terms that are harmful far from equilibrium, where the
-        tractions are many times too large: their change due to rotating normals, and with friction the
-        zero stiffness along a slip
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     looseness : value of the load curve of the gap's tolerance
-    used : the multipliers with which the last equilibrium was found, before `augment` set new ones
     """
+
+    n_columns: ClassVar[int] = N_STATE  # of the state of a point
+    kernels: ClassVar[ModuleType] = kernels
 
     contact: Contact
     body: int
+    rigid: Body
     facets2: IntArray
     patches: list[Patch]
     rim: Array
-    full_tangent: float = field(default=1.0, kw_only=True)
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
     looseness: float = field(default=1.0, kw_only=True)
-    used: list[tuple[Array, ...]] = field(default_factory=list, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
-    def search(self, x: Array, at: BodyState) -> int:
-        """Search contact at positions x (n_points, 3) with the body at `at`, and update the state of all
-        points; returns how many touch."""
+    def search(self, x: Array, at: BodyState, hints: Sequence[Array] = ()) -> tuple[tuple[Array, ...], int]:
+        """Search contact at positions x (n_points, 3) with the body at `at`.
+
+        hints : the rigid facet (-1: none) with which the search begins at each point of each patch
+
+        Returns the state of the points of each patch, and how many touch.
+        """
         spheres, box = _bounds(x, self.facets2)
-        return sum(
-            sum(self.threads.run(partial(self._search, p, x, spheres, box), len(p.facets)))
-            for p in self.patches
-        )
+        found, n_touching = [], 0
+        for k, p in enumerate(self.patches):
+            points = np.zeros((len(p.facets), len(p.weights), self.n_columns))
+            points[..., FACET] = hints[k] if hints else -1
+            task = partial(self._search, p, points, x, spheres, box)
+            n_touching += sum(self.threads.run(task, len(p.facets)))
+            found.append(points)
+        return tuple(found), n_touching
 
     def _search(
-        self, p: Patch, x: Array, spheres: Array, box: Array, worker: int, begin: int, end: int
+        self, p: Patch, points: Array, x: Array, spheres: Array, box: Array, worker: int, begin: int, end: int
     ) -> int:
         c = self.contact
         found = search(
             begin, end, x, p.facets, p.N, p.dN, x, self.facets2, self.rim, spheres, box,
-            c.search_radius, c.search_tolerance, p.eps, p.multiplier, p.state,
+            c.search_radius, c.search_tolerance, p.eps, p.multiplier, points,
         )  # fmt: skip
         return int(found)
 
-    def force(self, center: Array, out: Array, body: Array) -> None:
-        for p in self.patches:
-            kernels.force(p.facets, p.N, p.weights, p.state, center, out, body)
+    def force(self, found: Sequence[Array], at: BodyState, out: Array, body: Array) -> None:
+        """out (n_points, 3), body (6) += contact part of the residual, force and moment on the body.
 
-    def times(self, x: Array, center: Array, v: Array, motion: Array, out: Array, body: Array) -> None:
-        for p in self.patches:
-            kernels.times(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.full_tangent, center, v, motion,
-                out, body,
+        found : state of the points of each patch, as of `search` with the body at `at`
+        """
+        center = self.rigid.center + at.shift
+        for p, points in zip(self.patches, found, strict=True):
+            self.kernels.force(p.facets, p.N, p.weights, points, center, out, body)
+
+    def times(
+        self, found: Sequence[Array], at: BodyState, x: Array, v: Array, motion: Array, out: Array,
+        body: Array, *, full: bool,
+    ) -> None:  # fmt: skip
+        """Derivative of `force` along v (n_points, 3) and the body's motion (6).
+
+        full : exact (see `ContactState.full_tangent`)
+        """
+        center = self.rigid.center + at.shift
+        for k, (p, points) in enumerate(zip(self.patches, found, strict=True)):
+            self.kernels.times(
+                x, p.facets, p.N, p.dN, p.weights, p.eps, points, float(full), center, v, motion, out, body,
+                *self._further(k, at),
             )  # fmt: skip
 
-    def blocks(self, x: Array, *, couples: bool = True) -> list[tuple[Array, Array]]:
-        """Tangent of each patch's facets (n_facets, n, 3, n, 3), and which facets touch.
+    def blocks(
+        self, k: int, points: Array, at: BodyState, x: Array, *, full: bool, couples: bool = True
+    ) -> tuple[Array, Array]:
+        """Tangent of the facets of patch k (n_facets, n, 3, n, 3), and which facets touch.
 
         couples : False leaves out that the shear of a slip follows the pressure
         """
-        found = []
-        for p in self.patches:
-            n = p.facets.shape[1]
-            out = np.empty((len(p.facets), n, 3, n, 3))
-            touched = kernels.blocks(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, p.state, self.full_tangent, out
-            )
-            found.append((out, touched))
-        return found
+        return self._blocks(k, points, x, full)
 
-    def remember(self, x: Array, at: BodyState) -> None:
+    def _blocks(self, k: int, points: Array, x: Array, full: bool, *further: Any) -> tuple[Array, Array]:
+        p = self.patches[k]
+        n = p.facets.shape[1]
+        out = np.empty((len(p.facets), n, 3, n, 3))
+        arguments = x, p.facets, p.N, p.dN, p.weights, p.eps, points, float(full), out
+        return out, self.kernels.blocks(*arguments, *further)
+
+    def _further(self, k: int, at: BodyState) -> tuple[Any, ...]:
+        """Further arguments of the kernels for patch k."""
+        return ()
+
+    def remember(self, x: Array, at: BodyState, hints: Sequence[Array]) -> None:
         """Store a converged step; nothing to store without friction."""
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
@@ -116,10 +142,7 @@ class Pair:
     def forget(self) -> None:
         """Reset to the unloaded state: no contact, multipliers zero."""
         for p in self.patches:
-            p.state[:] = 0.0
-            p.state[..., FACET] = -1
             p.multiplier[:] = 0.0
-        self.used = []
 
     def multipliers(self) -> list[tuple[Array, ...]]:
         """Copies of the multipliers of each patch, for `set_multipliers`."""
@@ -129,56 +152,45 @@ class Pair:
         for p, (pressure, *_) in zip(self.patches, found, strict=True):
             p.multiplier = pressure.copy()
 
-    @contextmanager
-    def as_found(self) -> Iterator[None]:
-        """As at the last equilibrium, before the augmentation that followed it."""
-        after = self.multipliers()
-        if self.used:
-            self.set_multipliers(self.used)
-        try:
-            yield
-        finally:
-            self.set_multipliers(after)
-
     @property
     def is_augmented(self) -> bool:
         """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""
         return self.contact.augmented and max(self.contact.tolerance, self.contact.gap_tolerance) > 0
 
-    def augment(self, n_before: int) -> bool:
+    def augment(self, found: Sequence[Array], n_before: int) -> bool:
         """Set the multipliers to the current tractions; returns whether they have converged.
 
         Convergence requires that the relative change of their sum of squares is within the tolerance, and
         that the largest gap of points in contact is within `gap_tolerance` (mm), each if set; not before
         `minaug` augmentations of a load step, and unconditionally after `maxaug`.
 
+        found : state of the points of each patch at the equilibrium
         n_before : augmentations of this load step so far
 
         Source: FEBio 4.11, FESlidingElasticInterface::Augment.
         """
-        self.used = self.multipliers()
-        before = self._sum_of_squares()
-        self._augment()
-        after = self._sum_of_squares()
+        before = self._sum_of_squares(found)
+        self._augment(found)
+        after = self._sum_of_squares(found)
         contact = self.contact
         if n_before >= _count(contact, "maxaug", _MOST_AUGMENTATIONS):
             return True
         if n_before < _count(contact, "minaug", 0):
             return False
-        closed = contact.gap_tolerance <= 0 or self._largest_gap() <= contact.gap_tolerance * self.looseness
+        most = contact.gap_tolerance * self.looseness
+        closed = contact.gap_tolerance <= 0 or self._largest_gap(found) <= most
         settled = contact.tolerance <= 0 or abs(after - before) <= contact.tolerance * (after or 1.0)
         return closed and settled
 
-    def _augment(self) -> None:
-        for p in self.patches:
-            p.multiplier = p.state[..., TRACTION] / np.maximum(p.state[..., WEIGHT], 1e-300)
+    def _augment(self, found: Sequence[Array]) -> None:
+        for p, points in zip(self.patches, found, strict=True):
+            p.multiplier = points[..., TRACTION] / np.maximum(points[..., WEIGHT], 1e-300)
 
-    def _sum_of_squares(self) -> float:
+    def _sum_of_squares(self, found: Sequence[Array]) -> float:
         return sum(float((p.multiplier**2).sum()) for p in self.patches)
 
-    def _largest_gap(self) -> float:
-        gaps = [abs(p.state[p.state[..., TRACTION] > 0, GAP]).max(initial=0.0) for p in self.patches]
-        return float(max(gaps))
+    def _largest_gap(self, found: Sequence[Array]) -> float:
+        return max(float(abs(points[points[..., TRACTION] > 0, GAP]).max(initial=0.0)) for points in found)
 
 
 def _count(contact: Contact, name: str, default: int) -> int:

@@ -17,7 +17,7 @@ class Patch:
     N, dN, weights : shape functions, their derivatives, and weights of the integration rule
     group, cell : cell group behind each facet, and the cell's row in it
     areas (mm^2), ratio (facet area over volume of the cell behind, 1/mm), normals : reference configuration
-    eps (n_facets,) : penalty, MPa/mm; multiplier, state : per integration point (see `contact_points`)
+    eps (n_facets,) : penalty, MPa/mm; multiplier (n_facets, n_gauss) : of augmented contact, MPa
     """
 
     facets: IntArray
@@ -31,5 +31,4 @@ class Patch:
     normals: Array
     eps: Array
     multiplier: Array
-    state: Array
     pairs: NDArray[np.int32] = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int32))

@@ -13,6 +13,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.contacts import contact_kernels
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.contacts.penalty import penalty_derivative
 from limbcli.fem.elements import simd_kernels
 from limbcli.fem.elements.groups import Group, Operands
@@ -83,21 +84,21 @@ class Prestrain:
 Parameter = LawParameter | Tied | BodyMotion | ShapeParameter | Prestrain
 
 
-def partial(system: System, state: State, parameter: Parameter) -> tuple[Array, Array]:
+def partial(system: System, contact: ContactState, parameter: Parameter) -> tuple[Array, Array]:
     """dR/dtheta at fixed displacements: nodal (n_points, 3), bodies (n_bodies, 6)."""
     if isinstance(parameter, LawParameter):
-        return _law(system, state, parameter)
+        return _law(system, contact, parameter)
     if isinstance(parameter, Tied):
-        found = [(_law(system, state, each), rate) for each, rate in parameter.parts]
+        found = [(_law(system, contact, each), rate) for each, rate in parameter.parts]
         return (
             np.asarray(sum(rate * nodal for (nodal, _), rate in found)),
             np.asarray(sum(rate * bodies for (_, bodies), rate in found)),
         )
     if isinstance(parameter, BodyMotion):
-        return _motion(system, state, parameter)
+        return _motion(system, contact, parameter)
     if isinstance(parameter, Prestrain):
-        return _prestrain(system, state, parameter)
-    return _shape(system, state, parameter)
+        return _prestrain(system, contact.state, parameter)
+    return _shape(system, contact, parameter)
 
 
 def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]]:
@@ -124,7 +125,8 @@ def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]
     return found
 
 
-def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, Array]:
+def _law(system: System, contact: ContactState, parameter: LawParameter) -> tuple[Array, Array]:
+    state = contact.state
     nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
     dt = system.model.steps[0].step_size
     at_first = system.curve_at_first
@@ -132,8 +134,8 @@ def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, 
         _add_internal(system, state, number, found, nodal)
         group = system.groups[number]
         change = group.material.change(parameter.name, len(group.cells), at_first, weights=parameter.weights)
-        for pair in system.pairs:
-            for patch in pair.patches:
+        for pair, found_points in zip(system.pairs, contact.points, strict=True):
+            for patch, points in zip(pair.patches, found_points, strict=True):
                 deps = pair.factor * penalty_derivative(
                     pair.contact, patch, system.groups, number, at_first, change, dt
                 )
@@ -141,7 +143,7 @@ def _law(system: System, state: State, parameter: LawParameter) -> tuple[Array, 
                     continue
                 on_body = np.zeros(6)
                 contact_kernels.scaled_force(
-                    patch.facets, patch.N, patch.weights, patch.state, deps,
+                    patch.facets, patch.N, patch.weights, points, deps,
                     system.center(pair.body, state), nodal, on_body,
                 )  # fmt: skip
                 bodies[pair.body] -= on_body
@@ -179,37 +181,35 @@ def given_motions(system: System, state: State, parameter: Parameter) -> Array:
     return motions
 
 
-def _motion(system: System, state: State, parameter: BodyMotion) -> tuple[Array, Array]:
+def _motion(system: System, contact: ContactState, parameter: BodyMotion) -> tuple[Array, Array]:
+    state = contact.state
     motions = given_motions(system, state, parameter)
     v = system.follow(state, motions)
-    nodal, bodies = system.contact_times(state, v, motions)
+    nodal, bodies = system.contact_times(contact, v, motions)
     if v.any():
         nodal += system.tangent_times(state, v)
     system.gather_tied(state, nodal, bodies)
     if v.any():
         b = int(np.flatnonzero(motions.any(axis=1))[0])
-        bodies[b, 3:] += system.tied_turning(state, _nodal_forces(system, state), b) @ motions[b, 3:]
+        bodies[b, 3:] += system.tied_turning(state, _nodal_forces(system, contact), b) @ motions[b, 3:]
     if system.model.springs:
         bodies += (system.spring_stiffness(state) @ motions.ravel()).reshape(-1, 6)
     return nodal, bodies
 
 
-def _nodal_forces(system: System, state: State) -> Array:
-    """Internal and contact forces less the loads (n_points, 3), with contact from the last search."""
+def _nodal_forces(system: System, contact: ContactState) -> Array:
+    """Internal and contact forces less the loads (n_points, 3)."""
+    state = contact.state
     nodal, _, _ = system.internal(state)
-    nodal -= system.distributed.forces(state.u)
-    for pair in system.pairs:
-        pair.force(system.center(pair.body, state), nodal, np.zeros(6))
-    return nodal
+    return nodal - system.distributed.forces(state.u) + system.contact_forces(contact)[0]
 
 
-def _shape(system: System, state: State, parameter: ShapeParameter) -> tuple[Array, Array]:
+def _shape(system: System, contact: ContactState, parameter: ShapeParameter) -> tuple[Array, Array]:
     sides = []
     for sign in (1.0, -1.0):
         moved = moved_system(system, parameter, sign)
-        moved.recall(state.hints or system.hints())
-        moved.at(state.time)
-        forces = moved.forces(state)
+        moved.at(contact.state.time)
+        forces = moved.forces(contact.state)
         sides.append((forces.nodal, forces.bodies))
     (n1, b1), (n0, b0) = sides
     return (n1 - n0) / (2 * parameter.step), (b1 - b0) / (2 * parameter.step)

@@ -13,6 +13,7 @@ from functools import partial as partial_function
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.derivatives.parameters import (
     BodyMotion,
     LawParameter,
@@ -50,11 +51,13 @@ class Sensitivity:
     displacement (n_points, 3) : du/dtheta
     bodies (n_bodies, 6) : derivative of the forces and moments that hold the bodies
     motions (n_bodies, 6) : translation and rotation of bodies with free degrees of freedom
+    contact : at the state
     """
 
     displacement: Array
     bodies: Array
     motions: Array
+    contact: ContactState
 
 
 def sensitivities(
@@ -83,8 +86,8 @@ def sensitivities(
             where="derivatives",
             fix="difference whole solves, as a session does",
         )
-    loads = [partial(system, state, each) for each in parameters]
-    newton.linearised.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces.nodal)
+    loads = [partial(system, forces.contact, each) for each in parameters]
+    newton.linearised.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces)
     found = [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
     given = [system.follow(state, given_motions(system, state, each)) for each in parameters]
     return [replace(a, displacement=a.displacement + v) for a, v in zip(found, given, strict=True)]
@@ -92,9 +95,9 @@ def sensitivities(
 
 def reaction_changes(system: System, state: State, parameter: Parameter, sensitivity: Sensitivity) -> Array:
     """Derivatives (n_points, 3) of the reactions at nodes with prescribed displacements."""
-    nodal, _ = partial(system, state, parameter)
+    nodal, _ = partial(system, sensitivity.contact, parameter)
     v = sensitivity.displacement - system.follow(state, given_motions(system, state, parameter))
-    contact, _ = system.contact_times(state, v, sensitivity.motions)
+    contact, _ = system.contact_times(sensitivity.contact, v, sensitivity.motions)
     return np.where(system.driven, nodal + system.tangent_times(state, v) + contact, 0.0)
 
 
@@ -105,20 +108,21 @@ def _one(newton: Newton, state: State, forces: Forces, nodal: Array, bodies: Arr
     motions = system.motions(step)
     v = system.follow(state, motions)
     v[system.free] = step[: system.n_tissue]
-    return Sensitivity(v, bodies + _force_change(system, state, forces, v, motions), motions)
+    change = _force_change(system, state, forces, v, motions)
+    return Sensitivity(v, bodies + change, motions, forces.contact)
 
 
 def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:
     reached, linearised = 1.0, newton.linearised
     for attempt in range(2):
         if linearised.tangent is None or linearised.inverse is None or attempt:
-            linearised.refresh(state, forces.nodal)
+            linearised.refresh(state, forces)
         tangent, inverse = linearised.tangent, linearised.inverse
         assert tangent is not None
         assert inverse is not None
-        inverse.follow(state)
+        inverse.follow(forces.contact)
         step, n, reached = gmres(
-            partial_function(tangent.times, state),
+            partial_function(tangent.times, forces.contact),
             inverse,
             rhs,
             tolerance=_TOLERANCE,
@@ -136,7 +140,7 @@ def _solve(newton: Newton, state: State, forces: Forces, rhs: Array) -> Array:
 
 def _force_change(system: System, state: State, forces: Forces, v: Array, motions: Array) -> Array:
     """Change (n_bodies, 6) of the bodies' forces and moments for nodal and body motions."""
-    nodal, bodies = system.contact_times(state, v, motions)
+    nodal, bodies = system.contact_times(forces.contact, v, motions)
     if any(len(body.tied) for body in system.bodies):
         nodal += system.tangent_times(state, v)
         system.gather_tied(state, nodal, bodies)

@@ -36,29 +36,29 @@ class ElementLoops:
     def internal(self, state: State) -> tuple[Array, float, tuple[int, int]]:
         """Internal nodal forces (n_points, 3), smallest det F, and its (group, cell)."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
-        worst, place = np.inf, (-1, -1)
+        worst, worst_cell = np.inf, (-1, -1)
         for k, o in enumerate(self.operands):
             found = self._add(simd_kernels.internal_force, state, o, o.arguments(), parts)
             low, cell = min(found)
             if low < worst:
-                worst, place = low, (k, cell)
+                worst, worst_cell = low, (k, cell)
             if o.bulk is not None:
-                args = (o.cells, o.grad, o.weight, o.base, *self._mixed(state, k))
+                args = (o.cells, o.grad, o.weight, o.base, *self._volume_terms(state, k))
                 self._add(kernels.volume_force, state, o, args, parts)
-        return total(parts), worst, place
+        return total(parts), worst, worst_cell
 
     def smallest_mean_volume(self, state: State) -> tuple[float, tuple[int, int]]:
         """Smallest determinant of a cell's mean F, and its (group, cell).
 
         A curved quadratic cell may be inverted although det F is positive at all of its integration points.
         """
-        worst, place = np.inf, (-1, -1)
+        worst, worst_cell = np.inf, (-1, -1)
         for k, (group, o) in enumerate(zip(self.groups, self.operands, strict=True)):
             F = o.base + np.einsum("eni,enj->eij", state.u[o.cells], group.mean_grad(o.grad))
             low = np.linalg.det(F)
             if len(low) and low.min() < worst:
-                worst, place = float(low.min()), (k, int(low.argmin()))
-        return worst, place
+                worst, worst_cell = float(low.min()), (k, int(low.argmin()))
+        return worst, worst_cell
 
     def linear_volumes(self, state: State, v: Array) -> tuple[Array, ...]:
         """det F of every group (n_cells, n_gauss), plus its linear change along v (n_points, 3)."""
@@ -86,7 +86,7 @@ class ElementLoops:
         n_pairs = len(self.pattern.high)
         blocks = np.zeros((n_pairs + max((len(h.shared) for h in self.halves), default=0), 3, 3))
         for k, (o, halves) in enumerate(zip(self.operands, self.halves, strict=True)):
-            args = (*o.arguments(), *self._mixed(state, k), halves.order, halves.pairs, blocks)
+            args = (*o.arguments(), *self._volume_terms(state, k), halves.order, halves.pairs, blocks)
 
             def task(_: int, begin: int, end: int, args: tuple[Any, ...] = args) -> None:
                 simd_kernels.tangent(begin, end, state.u, *args)
@@ -104,7 +104,7 @@ class ElementLoops:
         """Elastic tangent of all nodes times v (n_points, 3), including the slope of stress jumps."""
         parts = [np.zeros_like(self.X) for _ in range(self.threads.n)]
         for k, o in enumerate(self.operands):
-            args = (*o.sloped().arguments(), *self._mixed(state, k), v)
+            args = (*o.sloped().arguments(), *self._volume_terms(state, k), v)
             self._add(kernels.tangent_times, state, o, args, parts)
             if o.bulk is not None:
                 factors, b = self._of_volumes(state, o)
@@ -117,7 +117,7 @@ class ElementLoops:
         J = self._linear_volumes(state, np.zeros_like(self.X), o)
         return mean_dilatation.stiffnesses(o, J), mean_dilatation.volume_gradients(o, state.u)
 
-    def _mixed(self, state: State, group: int) -> tuple[Array, Array]:
+    def _volume_terms(self, state: State, group: int) -> tuple[Array, Array]:
         """Stiffness of the pressure against volume ratios, and the independent volume ratios."""
         o = self.operands[group]
         if o.bulk is not None:

@@ -162,7 +162,7 @@ def tangent_times(
     zero = np.zeros((3, 3))
     C, D = np.empty(6), np.empty(6)
     has_history = history.shape[0] == cells.shape[0]
-    mixed = volumes.shape[0] == cells.shape[0]
+    independent = volumes.shape[0] == cells.shape[0]
     own, change = np.empty((cells.shape[1], 3)), np.empty((cells.shape[1], 3))
     pushes = np.empty((cells.shape[1], 3))
     for e in range(start, stop):
@@ -174,7 +174,7 @@ def tangent_times(
             _gradient(own, grad[e, g], base, F)
             _gradient(change, grad[e, g], zero, dF)
             J = second_piola(F, ops, par[row], S, CC, np.bool_(True), work)
-            if mixed:
+            if independent:
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
                 _shift_pressure(F, J, stiffness * (volumes[e, g] - J), C, D, S, CC)
             w = weight[e, g]

@@ -143,12 +143,12 @@ def _push(w, lane, nodes, grad, force):
 @njit
 def _worst(w, n):
     """The smallest det F of the first n points, and its lane."""
-    worst, place = 1e300, -1
+    worst, lowest = 1e300, -1
     for l in range(n):
         jac = w[J * LANES + l]
         if worst > jac:
-            worst, place = jac, l
-    return worst, place
+            worst, lowest = jac, l
+    return worst, lowest
 
 
 @njit
@@ -156,7 +156,7 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
     """force (n_points, 3) += integral of P grad N."""
     w, one, six, square = simd_workspace()
     rows, work = np.zeros(LANES, dtype=np.int64), workspace()
-    worst, place = 1e300, -1
+    worst, lowest = 1e300, -1
     n_gauss = weight.shape[1]
     at_once = max(LANES // n_gauss, 1)
     want = np.bool_(False)  # no tangent; not a literal: see `materials.cache`
@@ -170,10 +170,10 @@ def internal_force(start, stop, u, cells, grad, weight, ops, par, base, scale, h
         _first_piola(w)
         low, lane = _worst(w, n)
         if worst > low:
-            worst, place = low, e0 + lane // n_gauss
+            worst, lowest = low, e0 + lane // n_gauss
         for k in range(len(some)):
             _push(w, k * n_gauss, cells[some[k]], grad[some[k]], force)
-    return worst, place
+    return worst, lowest
 
 
 @njit
@@ -266,7 +266,7 @@ def tangent(
     n_nodes, n_gauss = cells.shape[1], weight.shape[1]
     G, DG = np.zeros((3 * n_gauss, WIDTH)), np.zeros((3 * n_gauss, _LONG))
     K = np.zeros((n_nodes, _LONG))
-    mixed = volumes.shape[0] == cells.shape[0]
+    independent = volumes.shape[0] == cells.shape[0]
     flat = blocks.reshape(-1)
     at_once = max(LANES // n_gauss, 1)
     want = np.bool_(True)
@@ -277,7 +277,7 @@ def tangent(
         lanes.add_laws(w, ops, par, rows, want, one, six, square, work)
         for l in range(n):
             e = some[l // n_gauss]
-            if mixed:
+            if independent:
                 stiffness = lame[e if lame.shape[0] > 1 else 0]
                 w[SHIFT * LANES + l] = stiffness * (volumes[e, l % n_gauss] - w[J * LANES + l])
         lanes.finish(w, want)

@@ -34,7 +34,7 @@ def _ratios(system: System, state: State) -> tuple[Array, ...]:
     return state.volumes or system.linear_volumes(state, np.zeros_like(state.u))
 
 
-def extrapolate(system: System, states: list[State], time: float) -> State:
+def extrapolate(system: System, states: Sequence[State], time: float) -> State:
     """Initial guess by polynomial extrapolation of converged states; volume ratios likewise."""
     *along, aim = _coordinate(system, states, time)
     weights = lagrange(np.array(along), aim)
@@ -46,14 +46,15 @@ def extrapolate(system: System, states: list[State], time: float) -> State:
     bodies = [
         replace(at, shift=combined([s.bodies[b].shift for s in states])) for b, at in enumerate(last.bodies)
     ]
-    guess = system.prescribed(State(last.time, combined([s.u for s in states]), tuple(bodies)), time)
+    moved = State(last.time, combined([s.u for s in states]), tuple(bodies), last.hints)
+    guess = system.prescribed(moved, time)
     still = np.zeros_like(last.u)
     ratios = [system.linear_volumes(s, still) for s in states]
     volumes = tuple(combined(list(each)) for each in zip(*ratios, strict=True))
     return replace(guess, volumes=volumes)
 
 
-def _coordinate(system: System, states: list[State], time: float) -> list[float]:
+def _coordinate(system: System, states: Sequence[State], time: float) -> list[float]:
     """The extrapolation variable: its values at the states and at `time`.
 
     The path length of the driven bodies if their path is straight, because a load curve may have kinks in

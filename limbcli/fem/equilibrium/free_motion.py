@@ -11,9 +11,9 @@ import scipy.sparse as sparse
 from numpy.typing import NDArray
 from scipy.sparse.csgraph import connected_components
 
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.equilibrium.tangent import Tangent
 from limbcli.fem.linear_solvers.singular import SingularMatrix
-from limbcli.fem.motion.state import State
 from limbcli.model import Array, IntArray
 
 # Resistance v.K v of a rigid motion regarded as zero, as a fraction of the same with K's diagonal only.
@@ -24,10 +24,10 @@ _HELD = 1e-6
 _NAMES = ("along x", "along y", "along z", "about x", "about y", "about z")
 
 
-def check_held(tangent: Tangent, state: State) -> None:
+def check_held(tangent: Tangent, contact: ContactState) -> None:
     """Raise if a part of the tissue can move as a rigid body without resistance.
 
-    Contact is included as last searched; nodes tied to bodies are treated as constrained, the bodies are
+    Contact is included; nodes tied to bodies are treated as constrained, the bodies are
     checked separately (`tangent.check_rigid_modes`).
 
     Raises
@@ -41,7 +41,7 @@ def check_held(tangent: Tangent, state: State) -> None:
         for motion, name in zip(motions, names, strict=True):
             v = np.zeros_like(system.X)
             v[nodes] = motion
-            if _resistance(tangent, state, np.where(system.free, v, 0.0)) > _NOTHING:
+            if _resistance(tangent, contact, np.where(system.free, v, 0.0)) > _NOTHING:
                 continue
             middle = system.X[nodes].mean(axis=0)
             raise SingularMatrix(
@@ -78,11 +78,11 @@ def _free_motions(X: Array, free: NDArray[np.bool_]) -> tuple[Array, list[str]]:
     return np.einsum("mk,kni->mni", chosen, every), names
 
 
-def _resistance(tangent: Tangent, state: State, v: Array) -> float:
+def _resistance(tangent: Tangent, contact: ContactState, v: Array) -> float:
     """v.K v relative to the same with only K's diagonal; 1 where the latter is zero."""
     system = tangent.system
     step = np.zeros(system.n_unknowns)
     step[: system.n_tissue] = v[system.free]
     diagonal = tangent.diagonal()
     most = float((diagonal * step[: system.n_tissue] ** 2).sum())
-    return float(step @ tangent.times(state, step)) / most if most > 0 else 1.0
+    return float(step @ tangent.times(contact, step)) / most if most > 0 else 1.0

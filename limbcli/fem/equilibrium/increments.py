@@ -51,16 +51,39 @@ class Increment:
         return self.aim - self.begin
 
 
+@dataclass(frozen=True, eq=False)
+class Reached:
+    """How far an analysis step has been solved.
+
+    states : converged states, from its start on
+    increment : length (s) of the next increment; n_steady : number of increments before it may grow again
+    n_touching : points in contact at the last state; n_pressed : number of increments that ended in contact
+    pairs : states in contact at the last load steps, each with the earlier solve's
+    """
+
+    states: tuple[State, ...]
+    increment: float
+    n_steady: int = 0
+    n_touching: int = 0
+    n_pressed: int = 0
+    pairs: tuple[tuple[State, State], ...] = ()
+
+    @property
+    def last(self) -> State:
+        return self.states[-1]
+
+
 @dataclass
 class LoadStepPath:
     """Progress towards one load step, at time `target`.
 
+    start : what was reached at its beginning
     known : initial guess at `target` from an earlier solve, until it has been tried; earlier : the same, kept
     brief : limited to few cuts and to a total of `most_iterations` of the analysis
+    patient : whether to fall back on relaxation where Newton's method fails
     augments : whether augmented contact sets its multipliers at the target
-    start : at its beginning, the number of states reached, of increments in contact and of touching points
     cuts : since the last accepted increment; all_cuts : since the last load step
-    restless : number of failed relaxations
+    failed_relaxations : their number
     """
 
     target: float
@@ -69,11 +92,12 @@ class LoadStepPath:
     brief: bool
     most_cuts: int
     most_iterations: int | None
-    start: tuple[int, int, int]
+    start: Reached
+    patient: bool = True
+    augments: bool = True
     cuts: int = 0
     all_cuts: int = 0
-    restless: int = 0
-    augments: bool = True
+    failed_relaxations: int = 0
     earlier: State | None = field(init=False)
 
     def __post_init__(self) -> None:

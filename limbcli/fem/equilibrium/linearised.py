@@ -8,17 +8,19 @@ factor is kept up to date.
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.equilibrium.free_motion import check_held
 from limbcli.fem.equilibrium.settings import Counts, Settings
 from limbcli.fem.equilibrium.tangent import Inverse, Tangent, assemble
 from limbcli.fem.linear_solvers import direct as linear_solvers
 from limbcli.fem.linear_solvers.krylov import gmres
 from limbcli.fem.linear_solvers.singular import singular
-from limbcli.fem.motion.state import State, norm
+from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.fem.system import System
 from limbcli.model import Array
 
@@ -102,22 +104,22 @@ class Linearised:
         """Whether the factor belongs to an earlier tangent."""
         return self.inverse is not None and self.inverse.tangent is not self.tangent
 
-    def refresh(self, state: State, nodal: Array) -> None:
-        """Assemble and factor the tangent at a state with contact as last searched; `nodal`: forces there."""
-        self._learn()
-        self.tangent = assemble(self.system, state, nodal, drag=self.drag)
+    def refresh(self, state: State, forces: Forces) -> None:
+        """Assemble and factor the tangent at a state with these forces."""
+        self.assemble(state, forces)
+        assert self.tangent is not None
         if state.time == 0.0:
-            check_held(self.tangent, state)
-        self.inverse = Inverse(self.tangent, state, self.linear)
+            check_held(self.tangent, forces.contact)
+        self.inverse = Inverse(self.tangent, forces.contact, self.linear)
         if state.time == 0.0 and self.linear is not None:
             linear_solvers.check_supported(self.linear)
         self.counts.factorisations += 1
         self.reuse_cost, self.rate = 0.0, _FRESH
 
-    def assemble(self, state: State, nodal: Array) -> None:
-        """Assemble the tangent at a state; the factor is kept."""
+    def assemble(self, state: State, forces: Forces) -> None:
+        """Assemble the tangent at a state with these forces; the factor is kept."""
         self._learn()
-        self.tangent = assemble(self.system, state, nodal, drag=self.drag)
+        self.tangent = assemble(self.system, state, forces.nodal, drag=self.drag)
 
     def _learn(self) -> None:
         """Update `ageing` with the factor's extra cost at the tangent that is about to be replaced."""
@@ -127,19 +129,19 @@ class Linearised:
             self.ageing *= _FORGETTING
         self._wasted = 0.0
 
-    def ready_for(self, n_solves: int, decades: float, state: State, nodal: Array) -> None:
+    def ready_for(self, n_solves: int, decades: float, state: State, forces: Forces) -> None:
         """Assemble the exact tangent at a state, with a new factor if it pays off.
 
         n_solves, decades : number of solves to come, and residual reduction of each in decades
         """
         wasted = n_solves * decades * (self.rate - _FRESH)
         if self.inverse is None or wasted > self.per_factor:
-            self.refresh(state, nodal)
+            self.refresh(state, forces)
         elif self.tangent is None or self.tangent.state is not state:
-            self.assemble(state, nodal)
+            self.assemble(state, forces)
 
-    def solve(self, state: State, rhs: Array, tolerance: float) -> Array:
-        """Solve with the last assembled tissue tangent and the contact tangent at `state` (last search).
+    def solve(self, contact: ContactState, rhs: Array, tolerance: float) -> Array:
+        """Solve with the last assembled tissue tangent and the tangent of this contact.
 
         Raises
         ------
@@ -149,9 +151,9 @@ class Linearised:
         assert self.tangent is not None
         assert self.inverse is not None
         tangent = self.tangent
-        self.inverse.follow(state)
+        self.inverse.follow(contact)
         step, n, reached = gmres(
-            lambda v: tangent.times(state, v),
+            lambda v: tangent.times(contact, v),
             self.inverse,
             rhs,
             tolerance=tolerance,
@@ -169,37 +171,39 @@ class Linearised:
         return step
 
     def settle(
-        self, base: State, tissue: Array, goal: float, *, first: Array | None = None, far: bool = False
-    ) -> Array:
+        self, base: State, tissue: Array, goal: float, contact: ContactState, *, first: Array | None = None,
+        far: bool = False,
+    ) -> tuple[Array, ContactState]:  # fmt: skip
         """Newton step from `base`: equilibrium of the linearised tissue with nonlinear contact.
 
         tissue : tissue part of the residual at `base`; it is extrapolated linearly
         goal : norm of the residual at which the iteration stops
+        contact : at `base`, or with a first step at the state before
         first : initial step
-        far : contact tractions are still far from those at equilibrium (see `Pair.full_tangent`)
+        far : contact tractions are far from those at equilibrium (see `ContactState.full_tangent`)
 
         Contact is searched again after each linear solve: a semismooth Newton iteration (Hintermueller,
         Ito and Kunisch 2002, SIAM J. Optim. 13, 865-888) that needs no loop over the cells.
+        Returns the step, and the contact found last.
         """
         system, tangent = self.system, self.tangent
         assert tangent is not None
-        step = np.zeros_like(tissue) if first is None else first
-        at, searched = base, first is not None
-        if searched:
-            at, tissue = system.moved(base, step), tissue + tangent.tissue_times(step)
-        residual = tissue + system.contact_residual(at, search=searched)
-        best, touching = (np.inf, step), system.touching()
-        rough = searched
+        step, rough = np.zeros_like(tissue) if first is None else first, first is not None
+        if rough:
+            contact = system.search(system.moved(base, step), before=contact)
+            tissue = tissue + tangent.tissue_times(step)
+        residual = tissue + system.contact_residual(contact)
+        best = np.inf, step
         most = self.counts.krylov + _OLD_ROUNDS * self.patience
         for k in range(_ROUNDS):
             size = norm(residual)
             if size <= goal:
-                return step
+                return step, contact
             relative = goal / size
-            with system.full_contact_tangent(not far):
-                change = self.solve(at, -residual, max(relative, _ROUGH) if rough else relative)
-            moved = tangent.tissue_times(change)
-            length, at, residual = self._shortened(base, tissue, step, change, moved, size)
+            linear = replace(contact, full_tangent=not far)
+            change = self.solve(linear, -residual, max(relative, _ROUGH) if rough else relative)
+            moved, before = tangent.tissue_times(change), contact
+            length, contact, residual = self._shortened(base, tissue, step, change, moved, size, before)
             step, tissue = step + length * change, tissue + length * moved
             if norm(residual) < best[0]:
                 best = (norm(residual), step)
@@ -208,25 +212,29 @@ class Linearised:
             self.stuck |= self._is_old and self.counts.krylov >= most
             if self.stuck:
                 break
-            before, touching = touching, system.touching()
-            rough = any((a != b).any() for a, b in zip(before, touching, strict=True))
-        return best[1]
+            rough = bool((before.touching != contact.touching).any())
+        return best[1], contact
 
     def _shortened(
-        self, base: State, tissue: Array, step: Array, change: Array, moved: Array, size: float
-    ) -> tuple[float, State, Array]:
-        """Line search: length, state and residual of the first length that reduces the residual, else of the
-        one with the smallest residual."""
+        self,
+        base: State,
+        tissue: Array,
+        step: Array,
+        change: Array,
+        moved: Array,
+        size: float,
+        contact: ContactState,
+    ) -> tuple[float, ContactState, Array]:
+        """Line search: length, contact and residual of the first length that reduces the residual, else of
+        the one with the smallest residual."""
         tried = []
         for length in (1.0, 0.5, 0.25):
-            at = self.system.moved(base, step + length * change)
-            residual = tissue + length * moved + self.system.contact_residual(at, search=True)
+            contact = self.system.search(self.system.moved(base, step + length * change), before=contact)
+            residual = tissue + length * moved + self.system.contact_residual(contact)
+            tried.append((length, contact, residual))
             if norm(residual) < size:
-                return length, at, residual
-            tried.append((norm(residual), length))
-        length = min(tried)[1]
-        at = self.system.moved(base, step + length * change)
-        return length, at, tissue + length * moved + self.system.contact_residual(at, search=True)
+                return tried[-1]
+        return min(tried, key=lambda each: norm(each[2]))
 
     @property
     def n_unstable(self) -> int:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.contacts.pairs import Pair
 from limbcli.fem.equilibrium.first_guesses import beside, extrapolate
 from limbcli.fem.equilibrium.history import Histories
-from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath
+from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath, Reached
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
 from limbcli.fem.linear_solvers.singular import SingularMatrix
@@ -25,70 +27,50 @@ _LOOSE, _FIRM = 3e-2, 1e-3
 _RESTED = 1e-2  # the same for an intermediate increment solved by relaxation
 _NEAR = 0.3  # relative residual up to which relaxation starts from Newton's best iterate
 _FIRST = 4.0  # first increment as a multiple of the model's step size, for a path-independent response
-_MOST_RESTLESS = 3  # number of failed relaxations per load step after which none is attempted
+_MOST_RELAXATIONS = 3  # number of failed relaxations per load step after which none is attempted
 _FAR_OUT = 3.0  # relative residual of an initial guess above which an increment is shortened without a try
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _FAR_OFF_ROUGH = 10.0  # the same for a guess from another mesh
-_WARY = 5  # number of increments after a cut during which they do not grow
+_STEADY = 5  # number of increments after a cut during which they do not grow
 _EASY = 4  # Newton iterations up to which an increment counts as easy, so that the next may be longer
 
 
-def is_timed(model: LimbModel) -> bool:
-    """Whether the response depends on the time step sizes (viscoelastic materials)."""
-    return any(material.is_viscoelastic for material in model.materials.values())
-
-
-def remembers(model: LimbModel) -> bool:
-    """Whether the response depends on the loading path (viscoelastic materials, friction)."""
-    return is_timed(model) or model.has_friction
-
-
 class LoadStepping:
-    """Advances through the load steps of each analysis step and adapts the increment length."""
+    """Advances through the load steps of one analysis step and adapts the increment length.
 
-    _newton: Newton
-    _step: Step
-    _histories: Histories | None
-    _reached: list[State]
-    _tried: Forces  # at the last initial guess that was evaluated
+    histories : stress histories to advance with every increment
+    """
 
-    def __init__(self) -> None:
-        self._wary = 0
-        self._forces: Forces | None = None  # at the last load step
-        self.patient = True  # whether to fall back on relaxation where Newton's method fails
-
-    def begin(self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None) -> None:
-        """Initialise for an analysis step. histories : stress histories to advance with every increment"""
+    def __init__(
+        self, model: LimbModel, step: Step, newton: Newton, histories: Histories | None = None
+    ):  # fmt: skip
         self._step, self._newton, self._histories = step, newton, histories
-        self._has_friction, self._timed = model.has_friction, is_timed(model)
+        self._has_friction, self._timed = model.has_friction, model.is_viscoelastic
         # increments shorter than a load step only provide initial guesses
         self._incremental = bool(model.contacts) and not self._timed
-        self._increment = _FIRST * step.step_size if self._incremental else np.inf
-        self._reached = [newton.system.start]
-        # states in contact at the last load steps, each with the earlier solve's
-        self._pairs: list[tuple[State, State]] = []
-        # points in contact at the last state; increments that ended in contact
-        self._n_touching = self._n_pressed = 0
+        increment = _FIRST * step.step_size if self._incremental else np.inf
+        self._reached = Reached((newton.system.start,), increment)
 
     def advance_to(
-        self, target: float, load_step: LoadStep, known: State | None, *, brief: bool, augments: bool = True
-    ) -> tuple[State, Forces]:
+        self, target: float, load_step: LoadStep, known: State | None = None, *, brief: bool = False,
+        patient: bool = True, augments: bool = True,
+    ) -> tuple[State, Forces]:  # fmt: skip
         """Equilibrium at a time, reached by increments for which Newton's method converges.
 
         known : initial guess at the target, from an earlier solve
         brief : give up after a few cuts and iterations
+        patient : fall back on relaxation where Newton's method fails
         augments : whether augmented contact sets its multipliers at the target
 
         Intermediate increments only provide initial guesses and are solved to a loose tolerance, except
         with a viscoelastic law. For their outcomes see `increments.IncrementOutcome`.
         """
         newton = self._newton
-        newton.mixed = newton.settings.mixed
+        newton.volume_ratios = newton.settings.volume_ratios
         way = LoadStepPath(
-            target, load_step, known, brief, augments=augments,
+            target, load_step, known, brief, patient=patient, augments=augments, start=self._reached,
             most_cuts=BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries),
             most_iterations=newton.counts.iterations + _BRIEF_ITERATIONS if brief else None,
-            start=(len(self._reached), self._n_pressed, self._n_touching),
         )  # fmt: skip
         while True:
             increment = self._next(way)
@@ -108,16 +90,17 @@ class LoadStepping:
 
     def _next(self, way: LoadStepPath) -> Increment:
         """The next increment to try; raises NotConverged if a brief load step exceeds its iterations."""
-        newton, begin = self._newton, self._reached[-1].time
+        newton, begin = self._newton, self._reached.last.time
         before = newton.counts.iterations
         if way.most_iterations is not None and before > way.most_iterations:
-            forces = self._forces if self._forces is not None else self._tried
-            spent = before - way.most_iterations
-            raise newton.failure(self._reached[-1], forces, way.load_step, spent, "it takes long")
+            spent = before - way.most_iterations + _BRIEF_ITERATIONS
+            state = self._reached.last
+            newton.system.at(state.time)
+            raise newton.failure(newton.forces(state), way.load_step, spent, "it takes long")
         rest = way.target - begin
-        n = 1 if way.known is not None else int(np.ceil(rest / self._increment - 1e-6))
+        n = 1 if way.known is not None else int(np.ceil(rest / self._reached.increment - 1e-6))
         while self._incremental and way.known is None and rest / n > self._step.step_size:
-            if not newton.system.may_pass(self._reached[-1], begin + rest / n):
+            if not newton.system.may_pass(self._reached.last, begin + rest / n):
                 break
             n *= 2
         aim = way.target if n <= 1 else begin + rest / n
@@ -137,7 +120,7 @@ class LoadStepping:
             if way.known is None:
                 way.note_cut()
             self._note_cut(error)
-            at_rest = None if way.brief or not self.patient else self._at_rest(way, increment, error)
+            at_rest = None if way.brief or not way.patient else self._at_rest(way, increment, error)
             if at_rest is not None:
                 return IncrementOutcome.CAME_TO_REST, at_rest, None
             return self._outcome(way, increment, error, exhausted), None, error
@@ -147,12 +130,12 @@ class LoadStepping:
         self, way: LoadStepPath, increment: Increment, error: SolveError, exhausted: bool
     ) -> IncrementOutcome:
         """How to continue after an increment without an equilibrium."""
-        if _has_no_factor(error, self._reached):
+        if _has_no_factor(error, self._reached.states):
             return IncrementOutcome.HOPELESS
         if not exhausted and increment.length >= _SMALLEST * self._step.step_size:
             return IncrementOutcome.SHORTEN
-        by_the_way = self._timed or self._has_friction
-        again = self._newton.mixed and not by_the_way and not way.brief
+        path_dependent = self._timed or self._has_friction
+        again = self._newton.volume_ratios and not path_dependent and not way.brief
         return IncrementOutcome.BEGIN_AGAIN if again else IncrementOutcome.HOPELESS
 
     def _take(
@@ -162,37 +145,36 @@ class LoadStepping:
         easily = False
         if outcome is IncrementOutcome.CAME_TO_REST:
             way.known = None
-            self._increment = increment.length
+            self._reached = replace(self._reached, increment=increment.length)
             if increment.is_last:
                 state, forces = self._augmented(state, forces, way)
         else:
             easy = _EASY + (2 if increment.is_last else 0)
             easily = self._newton.counts.iterations - increment.iterations_before <= easy
         self._accept(state, forces, easily=easily)
-        if increment.is_last:
-            self._forces = forces
-            if way.earlier is not None and forces.n_touching > 0:
-                self._pairs = [*self._pairs[-1:], (state, way.earlier)]
+        if increment.is_last and way.earlier is not None and forces.n_touching > 0:
+            pairs = (*self._reached.pairs[-1:], (state, way.earlier))
+            self._reached = replace(self._reached, pairs=pairs)
         return state, forces
 
     def _shorten(self, way: LoadStepPath, increment: Increment) -> None:
         """Halve the increment; if a guess from an earlier solve was used, retry without it instead."""
         newton = self._newton
-        self._increment = increment.rest if way.known is not None else 0.5 * increment.length
-        self._wary = _WARY if way.known is None else 0
+        if way.known is not None:
+            self._reached = replace(self._reached, increment=increment.rest, n_steady=0)
+        else:
+            self._reached = replace(self._reached, increment=0.5 * increment.length, n_steady=_STEADY)
         way.known = None
         if newton.counts.iterations > increment.iterations_before:
             newton.linearised.reuse_cost = np.inf  # without an iteration the factor is still up to date
-        newton.system.recall(self._reached[-1].hints)
 
     def _begin_again(self, way: LoadStepPath, increment: Increment) -> Increment:
         """Return to the last load step, to retry without independent volume ratios: these allow longer
         steps but occasionally diverge. Returns the whole load step as one increment."""
-        n_reached, self._n_pressed, self._n_touching = way.start
-        self._newton.mixed = False
-        del self._reached[n_reached:]
+        self._reached = way.start
+        self._newton.volume_ratios = False
         way.cuts = 0
-        return replace(increment, begin=self._reached[-1].time, aim=way.target, is_last=True)
+        return replace(increment, begin=self._reached.last.time, aim=way.target, is_last=True)
 
     def _at_rest(
         self, way: LoadStepPath, increment: Increment, error: SolveError
@@ -203,23 +185,22 @@ class LoadStepping:
         relaxation, from the last increment's state. After a guess from an earlier solve, or at a first cut
         where no Newton iteration was made, a shorter increment is tried instead.
         """
-        newton, begin = self._newton, self._reached[-1]
+        newton, begin = self._newton, self._reached.last
         # path-dependent response, or bodies with free degrees of freedom
         given = self._timed or self._has_friction or bool(newton.system.rigid)
-        restless = way.restless >= _MOST_RESTLESS
-        if given or restless or not isinstance(error, NotConverged) or self._n_pressed < 2:
+        given |= way.failed_relaxations >= _MOST_RELAXATIONS
+        if given or not isinstance(error, NotConverged) or self._reached.n_pressed < 2:
             return None
         left, guess = newton.nearest
         if way.known is not None or (guess is None and way.all_cuts == 1):
             return None
-        if guess is None or left > _NEAR or way.restless:
+        if guess is None or left > _NEAR or way.failed_relaxations:
             guess = newton.system.prescribed(begin, increment.aim)
-        newton.system.recall(guess.hints)
         newton.linearised.reuse_cost = np.inf
         try:
             return relax(newton, guess, way.load_step, tolerance=None if increment.is_last else _RESTED)
         except (NotConverged, SingularMatrix):
-            way.restless += 1
+            way.failed_relaxations += 1
             return None
 
     def _note_cut(self, error: SolveError) -> None:
@@ -229,13 +210,15 @@ class LoadStepping:
 
     def _accept(self, state: State, forces: Forces, *, easily: bool) -> None:
         """Accept an increment: the next one starts at its end, and may be longer if this one was easy."""
-        length = state.time - self._reached[-1].time
-        self._wary = max(self._wary - 1, 0)
-        if length >= 0.6 * self._increment and easily and not self._wary:
-            self._increment *= 2.0
-        self._reached.append(state)
-        self._n_touching = forces.n_touching
-        self._n_pressed += int(forces.n_touching > 0)
+        before = self._reached
+        length = state.time - before.last.time
+        n_steady = max(before.n_steady - 1, 0)
+        longer = length >= 0.6 * before.increment and easily and not n_steady
+        self._reached = replace(
+            before, states=(*before.states, state), increment=before.increment * (2.0 if longer else 1.0),
+            n_steady=n_steady, n_touching=forces.n_touching,
+            n_pressed=before.n_pressed + int(forces.n_touching > 0),
+        )  # fmt: skip
         if self._histories is not None:
             self._histories.accept(length, state)
 
@@ -247,77 +230,73 @@ class LoadStepping:
         if self._histories is not None:
             self._histories.begin(increment.length)
         guess, forces = self._guess(aim, way.load_step, way.known, patient)
-        if way.known is not None and not self._pairs:  # the factor was computed a load step earlier
+        if way.known is not None and not self._reached.pairs:  # the factor was computed a load step earlier
             newton.linearised.reuse_cost = np.inf
         return newton.equilibrate(guess, way.load_step, forces=forces, tolerance=tolerance, patient=patient)
 
     def _guess(
         self, time: float, load_step: LoadStep, known: State | None, patient: bool
-    ) -> tuple[State, Forces | None]:
-        """The best available initial guess, and the forces there if contact was last searched for it.
+    ) -> tuple[State, Forces]:
+        """The best available initial guess, and the forces there.
 
         With an earlier solve: its state plus the difference from it, as far as known. Otherwise linear and
         quadratic extrapolation of the last states, or, if these are poor, the tangent predictor. If all
         guesses are far from equilibrium the increment is rejected at once, which is cheaper than iterating.
         """
-        system, reached, pairs = self._newton.system, self._reached, []
+        system, reached = self._newton.system, self._reached
+        pairs: tuple[tuple[State, State], ...] = ()
         rough = isinstance(known, RoughState)
         if known is not None:
-            follows = bool(self._pairs) and self._pairs[-1][0] is reached[-1]
-            pairs = self._pairs[-1 if rough else -2 :] if follows else []
+            if reached.pairs and reached.pairs[-1][0] is reached.last:
+                pairs = reached.pairs[-1 if rough else -2 :]
             guesses = [beside(system, known, time, pairs[-n:]) for n in range(1, len(pairs) + 1)]
             guesses = guesses or [system.prescribed(known, time)]
         else:
             # neither the unloaded state nor states without contact are extrapolated
-            most = min(self._n_pressed if system.pairs else len(reached) - 1, 3)
-            guesses = [extrapolate(system, reached[-n:], time) for n in range(2, most + 1)]
+            most = min(reached.n_pressed if system.pairs else len(reached.states) - 1, 3)
+            guesses = [extrapolate(system, reached.states[-n:], time) for n in range(2, most + 1)]
         limit = _FAR_OFF_ROUGH if rough else _FAR_OFF if known is not None and not pairs else _FAR_OUT
         error, guess, forces = self._best(guesses, time)
         if guess is None or (known is None and error > limit):
-            error, guess, forces = self._best([self._newton.predict(reached[-1], time)], time)
-        if guess is None or (error > limit and self._incremental and not patient and len(reached) > 1):
-            raise self._newton.failure(
-                reached[-1], self._tried, load_step, 0, "the step is too long for a first guess"
-            )
+            error, guess, forces = self._best([self._newton.predict(reached.last, time)], time)
+        if guess is None or (error > limit and self._incremental and not patient and len(reached.states) > 1):
+            assert forces is not None
+            why = "the step is too long for a first guess"
+            raise self._newton.failure(forces, load_step, 0, why)
+        assert forces is not None
         return guess, forces
 
     def _best(self, guesses: list[State], time: float) -> tuple[float, State | None, Forces | None]:
         """The guess with the smallest error among those without inverted cells; its error and forces.
 
-        The forces are None if contact was searched for another guess afterwards.
+        None, with the forces at the last guess, if all of them have inverted cells.
         """
-        newton, system = self._newton, self._newton.system
-        system.at(time)
-        best: tuple[float, State | None, Forces | None] = (np.inf, None, None)
+        self._newton.system.at(time)
+        error, guess, forces = np.inf, None, None
         for each in guesses:
-            system.recall(each.hints)
-            found = self._tried = newton.forces(each)
-            error = found.error
+            found = self._newton.forces(each)
+            own = found.error
             if len(guesses) > 1:  # penalise loss of contact, which lowers the residual misleadingly
-                error += max(1.0 - found.n_touching / max(self._n_touching, 1), 0.0)
+                own += max(1.0 - found.n_touching / max(self._reached.n_touching, 1), 0.0)
             else:
-                error = min(norm(found.mixed) / max(found.scale, 1e-14), error)
-            if found.worst > 0 and error < best[0]:
-                best = (error, each, found)
-        guess = best[1]
-        if guess is not None and guess is not guesses[-1]:
-            system.recall(guess.hints)
-            return best[0], guess, None
-        return best
+                own = min(norm(found.iterated) / max(found.scale, 1e-14), own)
+            if found.worst > 0 and own < error:
+                error, guess, forces = own, each, found
+        return error, guess, forces if guess is not None or not guesses else found
 
     def _explained(self, error: SolveError, load_step: LoadStep, time: float) -> SolveError:
         """The error, completed with its load step, the likely cause and the depth or force reached."""
-        newton, n_reached = self._newton, len(self._reached) - 1
+        newton, n_reached, last = self._newton, len(self._reached.states) - 1, self._reached.last
         aim = newton.system.prescribed(newton.system.start, time)
         place = load_step.at(time, newton.reached(aim))
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
-        depth = newton.depth(self._reached[-1])
-        words = newton.reached(self._reached[-1])
+        depth = newton.depth(last)
+        words = newton.reached(last)
         reported = f"; there is a solution up to {words}" if n_reached and words else ""
         cause = "a part of the tissue, or a rigid body, can move freely"
         fix = error.fix
         if n_reached:
-            cause = newton.weakness(self._reached[-1])
+            cause = newton.weakness(last)
             less = "load" if depth is None else "depth"
             fix = f"reduce the {less}; check the mesh there; or use a lower contact penalty"
         return SolveError(
@@ -331,22 +310,27 @@ class LoadStepping:
 
     def _augmented(self, state: State, forces: Forces, way: LoadStepPath) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
-        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented and way.augments]
-        before = [pair.multipliers() for pair in pairs]
+        every = enumerate(self._newton.system.pairs)
+        pairs = [(k, pair) for k, pair in every if pair.is_augmented and way.augments]
+        before = [pair.multipliers() for _, pair in pairs]
         n_before = 0
         try:
-            settled = [pair.augment(n_before) for pair in pairs]
+            settled = _augment(pairs, forces, n_before)
             while not all(settled):
                 state, forces = self._newton.equilibrate(state, way.load_step)
                 n_before += 1
-                settled = [pair.augment(n_before) for pair in pairs]
+                settled = _augment(pairs, forces, n_before)
         except SolveError:
-            for pair, multipliers in zip(pairs, before, strict=True):
+            for (_, pair), multipliers in zip(pairs, before, strict=True):
                 pair.set_multipliers(multipliers)
             raise
         return state, forces
 
 
-def _has_no_factor(error: SolveError, reached: list[State]) -> bool:
+def _augment(pairs: Sequence[tuple[int, Pair]], forces: Forces, n_before: int) -> list[bool]:
+    return [pair.augment(forces.contact.points[k], n_before) for k, pair in pairs]
+
+
+def _has_no_factor(error: SolveError, reached: Sequence[State]) -> bool:
     """Whether the unloaded tissue's matrix is singular: shorter steps would not help."""
     return isinstance(error, SingularMatrix) and len(reached) == 1 and reached[0].time == 0.0

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.equilibrium.linearised import Linearised
-from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings, WorkLimit
+from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings, WorkMeter
 from limbcli.fem.equilibrium.stagnation import Stagnation
 from limbcli.fem.motion.state import Forces, State, norm
 from limbcli.fem.system import System
@@ -33,22 +34,16 @@ class NotConverged(SolveError):
 class Newton:
     """Newton solver of one system; keeps its tangent and factor between times.
 
-    mixed : whether independent volume ratios are in use (see `with_volumes`)
-    nearest : smallest relative residual (`Forces.mixed`) of the last attempt, and its state
+    volume_ratios : whether independent volume ratios are in use (see `with_volumes`)
+    nearest : smallest relative residual (`Forces.iterated`) of the last attempt, and its state
     """
 
     def __init__(self, system: System, settings: Settings, progress: Progress = SILENT):
         self.system, self.settings, self.progress = system, settings, progress
         self.counts = Counts()
         self.linearised = Linearised(system, settings, self.counts)
-        self.mixed = settings.mixed
+        self.volume_ratios = settings.volume_ratios
         self.nearest: tuple[float, State | None] = (np.inf, None)
-        self._limit: WorkLimit | None = None
-        self._charged = 0, 0  # Krylov products and factorisations of which the limit has been told
-
-    def charge_to(self, limit: WorkLimit | None) -> None:
-        """Charge all further work to this limit."""
-        self._limit, self._charged = limit, (self.counts.krylov, self.counts.factorisations)
 
     @property
     def linear_name(self) -> str:
@@ -68,22 +63,24 @@ class Newton:
         system.at(time)
         forces = self.forces(replace(state, time=time, volumes=()))
         if linearised.is_outdated:
-            linearised.refresh(state, forces.nodal)
+            linearised.refresh(state, forces)
         else:
-            linearised.assemble(state, forces.nodal)
+            linearised.assemble(state, forces)
         aim = system.prescribed(state, time)
         v = np.where(system.free, 0.0, aim.u - state.u)
         motions = np.zeros((len(system.bodies), 6))
         for b in range(len(system.bodies)):
             motions[b, :3] = aim.bodies[b].shift - state.bodies[b].shift
         change = system.tangent_times(state, v) if v[system.coupled].any() else np.zeros_like(v)
-        contact = system.contact_residual(state)
+        contact = system.contact_residual(forces.contact)
         tissue = forces.residual - contact
         tissue[: system.n_tissue] += change[system.free]
-        rhs = tissue + contact + system.contact_change(state, motions=motions)
-        first = linearised.solve(state, -rhs, _ROUGH)
-        step = linearised.settle(aim, tissue, _ROUGH * norm(rhs), first=first, far=True)
-        return self.with_volumes(system.moved(aim, step), state)
+        rhs = tissue + contact + system.contact_change(forces.contact, motions=motions)
+        first = linearised.solve(forces.contact, -rhs, _ROUGH)
+        goal = _ROUGH * norm(rhs)
+        step, found = linearised.settle(aim, tissue, goal, forces.contact, first=first, far=True)
+        guess = system.moved(replace(aim, hints=found.state.hints), step)
+        return self.with_volumes(guess, state)
 
     def with_volumes(self, guess: State, state: State) -> State:
         """The guess with volume ratios, and hence pressures, linear in its step from `state`.
@@ -94,7 +91,7 @@ class Newton:
         method in displacements and pressures, with the pressures eliminated (Magisano, Leonetti and Garcea
         2017, Comput. Methods Appl. Mech. Eng. 313, 986-1005, do so with all stresses).
         """
-        if not self.mixed:
+        if not self.volume_ratios:
             return guess
         return replace(guess, volumes=self.system.linear_volumes(state, guess.u - state.u))
 
@@ -109,7 +106,7 @@ class Newton:
     ) -> tuple[State, Forces]:
         """Solve for equilibrium from an initial guess; raises NotConverged.
 
-        forces : forces at the guess, if these were the last ones evaluated
+        forces : forces at the guess, if they are known
         tolerance : relative residual, in place of the settings', for an intermediate increment
         patient : False gives up early if a shorter step is more promising
         """
@@ -119,79 +116,72 @@ class Newton:
         state = guess
         forces = forces if forces is not None else self.forces(guess)
         if forces.worst <= 0:
-            raise self.failure(state, forces, load_step, 0, "a cell was inverted by the first guess")
+            raise self.failure(forces, load_step, 0, "a cell was inverted by the first guess")
         sizes: list[float] = []
         self.nearest = np.inf, None
         renew, stagnation = True, Stagnation(settings.stalled)
         for iteration in range(settings.max_iterations + 1):
             self.report(load_step, iteration, forces)
-            self.note(stagnation, state, forces)
-            left = norm(forces.mixed) / max(forces.scale, 1e-14)
+            stagnation.note(forces)
+            state = replace(state, hints=forces.contact.state.hints)
+            left = norm(forces.iterated) / max(forces.scale, 1e-14)
             if forces.worst > 0 and left < self.nearest[0]:
-                self.nearest = left, replace(state, hints=system.hints())
+                self.nearest = left, state
             if self.is_reached(forces, target):
-                return self.accepted(state, forces, load_step, iteration)
-            if iteration == settings.max_iterations or stagnation.goes_round:
+                return self.accepted(forces, load_step, iteration)
+            if iteration == settings.max_iterations or stagnation.repeats:
                 break
-            sizes.append(norm(forces.mixed) / max(forces.scale, 1e-14))
+            sizes.append(norm(forces.iterated) / max(forces.scale, 1e-14))
             if not patient and _too_long(sizes):
-                if stagnation.will_do:
+                if stagnation.acceptable:
                     break
-                raise self.failure(state, forces, load_step, iteration, "the step is too long")
+                raise self.failure(forces, load_step, iteration, "the step is too long")
             self.counts.iterations += 1
-            step = self.direction(state, forces, renew, target)
+            step, found = self.direction(state, forces, renew, target)
             before = forces.error
+            state = replace(state, hints=found.state.hints)
             state, forces, length = self.search(state, forces, step, iteration)
             if length == 0.0 and renew:
                 break
             renew = forces.error > settings.renew_ratio * before
-        if stagnation.will_do:
-            return self.accepted(*self.least_of(stagnation), load_step, iteration)
-        raise self.failure(state, forces, load_step, iteration, "Newton's method made no further progress")
+        if stagnation.acceptable:
+            return self.accepted(stagnation.acceptable, load_step, iteration)
+        raise self.failure(forces, load_step, iteration, "Newton's method made no further progress")
 
     def is_reached(self, forces: Forces, target: float) -> bool:
         """Whether the residual is within the tolerance or at round-off level."""
         return forces.error <= target or norm(forces.residual) <= _ROUND_OFF * self.system.least_force
 
-    def accepted(
-        self, state: State, forces: Forces, load_step: LoadStep, iteration: int
-    ) -> tuple[State, Forces]:
-        """The converged state with its contact hints; raises NotConverged if a cell's mean F is inverted."""
-        worst, place = self.system.smallest_mean_volume(state)
+    def accepted(self, forces: Forces, load_step: LoadStep, iteration: int) -> tuple[State, Forces]:
+        """The converged state with these forces; raises NotConverged if a cell's mean F is inverted."""
+        state = forces.contact.state
+        worst, cell = self.system.smallest_mean_volume(state)
         if worst <= 0:
             self.nearest = np.inf, None
-            turned = replace(forces, worst=worst, place=place)
-            raise self.failure(state, turned, load_step, iteration, "a cell was inverted")
-        return replace(state, hints=self.system.hints(), volumes=()), forces
+            turned = replace(forces, worst=worst, worst_cell=cell)
+            raise self.failure(turned, load_step, iteration, "a cell was inverted")
+        return state, forces
 
-    def note(self, stagnation: Stagnation, state: State, forces: Forces) -> None:
-        stagnation.note(replace(state, hints=self.system.hints(), volumes=()), forces)
-
-    def least_of(self, stagnation: Stagnation) -> tuple[State, Forces]:
-        """The state with the smallest residual, with its contact searched again."""
-        assert stagnation.state is not None
-        self.system.recall(stagnation.state.hints)
-        forces = self.forces(stagnation.state)
-        return replace(stagnation.state, hints=self.system.hints()), forces
-
-    def direction(self, state: State, forces: Forces, renew: bool, target: float) -> Array:
-        """Newton step: reassembles the tangent if `renew`, refactors if GMRES has become slow."""
+    def direction(
+        self, state: State, forces: Forces, renew: bool, target: float
+    ) -> tuple[Array, ContactState]:
+        """Newton step, and the contact found last: reassembles the tangent if `renew`, refactors if GMRES has
+        become slow."""
         linearised = self.linearised
         if linearised.is_outdated:
-            linearised.refresh(state, forces.nodal)
+            linearised.refresh(state, forces)
         elif renew or linearised.tangent is None:
-            linearised.assemble(state, forces.nodal)
-        size = min(norm(forces.mixed), norm(forces.residual))
+            linearised.assemble(state, forces)
+        size = min(norm(forces.iterated), norm(forces.residual))
         error = size / max(forces.scale, 1e-14)
         goal = size * float(np.clip(_SHARE * max(error, target / max(error, 1e-14)), *_FORCING))
-        tissue = forces.residual - self.system.contact_residual(state)
+        tissue = forces.residual - self.system.contact_residual(forces.contact)
         far = error > _FAR
-        step = linearised.settle(state, tissue, goal, far=far)
+        found = linearised.settle(state, tissue, goal, forces.contact, far=far)
         if linearised.stuck:  # the factor is too old
-            self.forces(state)
-            linearised.refresh(state, forces.nodal)
-            step = linearised.settle(state, tissue, goal, far=far)
-        return step
+            linearised.refresh(state, forces)
+            found = linearised.settle(state, tissue, goal, forces.contact, far=far)
+        return found
 
     def search(
         self, state: State, forces: Forces, step: Array, iteration: int
@@ -201,21 +191,21 @@ class Newton:
         In the first iterations the residual of a good step may be several times the previous one; later it
         must decrease, with either the independent volume ratios or those of the displacements.
         """
-        before, before_all = norm(forces.mixed), norm(forces.residual)
+        before, before_all = norm(forces.iterated), norm(forces.residual)
         full = self.system.moved(state, step)
-        mixed = self.mixed
-        if mixed:
-            nows = state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u))
-            aims = self.system.linear_volumes(state, full.u - state.u)
+        if self.volume_ratios:
+            ratios = state.volumes or self.system.linear_volumes(state, np.zeros_like(state.u))
+            ratios_full = self.system.linear_volumes(state, full.u - state.u)
         allowed = _PATIENCE if iteration < _PATIENT_ITERATIONS else 1.0
         length = 1.0
         best: tuple[float, State, Forces, float] | None = None
         for _ in range(7):
             trial = self.system.moved(state, length * step)
-            if mixed:
-                trial = replace(trial, volumes=_between(nows, aims, length))
+            if self.volume_ratios:
+                trial = replace(trial, volumes=_between(ratios, ratios_full, length))
             result = self.forces(trial)
-            size, size_all = norm(result.mixed), norm(result.residual)
+            state = replace(state, hints=result.contact.state.hints)
+            size, size_all = norm(result.iterated), norm(result.residual)
             if result.worst > 0 and np.isfinite(size):
                 enough = allowed * (1.0 - 0.1 * length)
                 if size <= enough * before or size_all <= (1.0 - 0.1 * length) * before_all:
@@ -224,9 +214,7 @@ class Newton:
                     best = (size, trial, result, length)
             length *= 0.5
         if best is None or best[0] > 2.0 * before:
-            self.forces(state)
             return state, forces, 0.0
-        self.forces(best[1])
         return best[1], best[2], best[3]
 
     def report(self, load_step: LoadStep, iteration: int, forces: Forces) -> None:
@@ -244,33 +232,26 @@ class Newton:
             krylov=self.counts.krylov,
             factorisations=self.counts.factorisations,
         )
-        if self._limit is not None:
-            known, now = self._charged, (self.counts.krylov, self.counts.factorisations)
-            self._charged = now
-            self._limit.charge(
-                step=load_step.number, n_steps=load_step.n_steps, krylov=now[0] - known[0],
-                factorisations=now[1] - known[1],
-            )  # fmt: skip
+        if load_step.meter is not None:
+            load_step.meter.charge(load_step)
 
-    def failure(
-        self, state: State, forces: Forces, load_step: LoadStep, iteration: int, why: str
-    ) -> NotConverged:
+    def failure(self, forces: Forces, load_step: LoadStep, iteration: int, why: str) -> NotConverged:
         """The error for a load step that was not reached, with the location of the worst cell or node."""
-        system = self.system
+        system, state = self.system, forces.contact.state
         if forces.worst <= 0:
-            k, cell = forces.place
+            k, cell = forces.worst_cell
             group = system.groups[k]
-            place = (system.X + state.u)[group.cells[cell]].mean(axis=0)
+            point = (system.X + state.u)[group.cells[cell]].mean(axis=0)
             what = f"inverted element {system.model.mesh.cell_id(group.first + cell)}"
         else:
             size = np.where(system.free, forces.nodal, 0.0)
             node = int(np.argmax((size**2).sum(axis=1)))
-            place, what = (system.X + state.u)[node], f"largest at node {system.model.mesh.node_id(node)}"
+            point, what = (system.X + state.u)[node], f"largest at node {system.model.mesh.node_id(node)}"
         return NotConverged(
             f"{load_step.at(state.time, self.reached(state))}"
             f" stopped at residual {forces.error:.1e} after {iteration} iterations,"
             f" target {self.settings.tolerance:.0e}: {why}",
-            where=f"{what}, at {_mm(place)}",
+            where=f"{what}, at {_mm(point)}",
             fix="use more load steps; check the mesh quality there; lower the contact penalty",
             level=load_step.number,
             residual=forces.error,
@@ -299,10 +280,10 @@ class Newton:
         size = float(np.linalg.norm(self.system.applied(state.time)[b, :3]))
         return f"force {size:.4g} N" if size else ""
 
-    def load_step(self, number: int, n_steps: int, time: float) -> LoadStep:
+    def load_step(self, number: int, n_steps: int, time: float, meter: WorkMeter | None = None) -> LoadStep:
         """The load step that ends at a time."""
         aim = self.system.prescribed(self.system.start, time)
-        return LoadStep(number, n_steps, self.depth(aim), self.reached(aim), time)
+        return LoadStep(number, n_steps, self.depth(aim), self.reached(aim), time, meter)
 
     def weakness(self, state: State) -> str:
         """The likely reason, with its location, why no equilibrium was found beyond a state."""
@@ -310,13 +291,13 @@ class Newton:
         system.at(state.time)
         forces = self.forces(state)
         if forces.worst < _NEARLY_FLAT:
-            k, cell = forces.place
+            k, cell = forces.worst_cell
             group = system.groups[k]
             middle = (system.X + state.u)[group.cells[cell]].mean(axis=0)
             name = f"element {system.model.mesh.cell_id(group.first + cell)}"
             return f"{name} at {_mm(middle)} is about to invert: volume ratio {forces.worst:.2f}"
         try:
-            self.linearised.refresh(state, forces.nodal)
+            self.linearised.refresh(state, forces)
         except SolveError:
             return "the tissue cannot carry load there"
         n_soft = self.linearised.n_unstable
@@ -329,12 +310,12 @@ class Newton:
         self.system.close()
 
 
-def _mm(place: Array) -> str:
-    return f"({place[0]:.1f}, {place[1]:.1f}, {place[2]:.1f}) mm"
+def _mm(point: Array) -> str:
+    return f"({point[0]:.1f}, {point[1]:.1f}, {point[2]:.1f}) mm"
 
 
-def _between(nows: tuple[Array, ...], aims: tuple[Array, ...], part: float) -> tuple[Array, ...]:
-    return tuple(now + part * (aim - now) for now, aim in zip(nows, aims, strict=True))
+def _between(begin: tuple[Array, ...], end: tuple[Array, ...], part: float) -> tuple[Array, ...]:
+    return tuple(a + part * (b - a) for a, b in zip(begin, end, strict=True))
 
 
 def _too_long(sizes: list[float]) -> bool:

@@ -19,7 +19,7 @@ class Settings:
         of the residual
     single : factor in single precision (None: for large systems); GMRES restores the accuracy
     linear : "auto", "multifrontal", "pardiso" or "superlu"
-    mixed : use independent volume ratios during the iteration (see `Newton.with_volumes`)
+    volume_ratios : use independent volume ratios during the iteration (see `Newton.with_volumes`)
     """
 
     tolerance: float = 1e-6
@@ -27,7 +27,7 @@ class Settings:
     linear: str = "auto"
     threads: int = 2
     single: bool | None = None
-    mixed: bool = True
+    volume_ratios: bool = True
     renew_ratio: float = 1e-3
     stalled: float = 0.0
     slip_as_febio: bool = False
@@ -46,9 +46,26 @@ class Counts:
 
 
 class WorkLimit(Protocol):
-    """Is told of the work of every Newton iteration, and stops the solve by raising a `SolveError`."""
+    """Limit on the work of a run; `charge` raises a `SolveError` where an iteration exceeds it."""
 
     def charge(self, *, step: int, n_steps: int, krylov: int, factorisations: int) -> None: ...
+
+
+class WorkMeter:
+    """Charges the work of a run, as counted since the last charge, to its limit."""
+
+    def __init__(self, counts: Counts, limit: WorkLimit | None):
+        self.counts, self.limit = counts, limit
+        self._charged = counts.krylov, counts.factorisations
+
+    def charge(self, load_step: LoadStep) -> None:
+        (krylov, factorisations), counts = self._charged, self.counts
+        self._charged = counts.krylov, counts.factorisations
+        if self.limit is not None:
+            self.limit.charge(
+                step=load_step.number, n_steps=load_step.n_steps, krylov=counts.krylov - krylov,
+                factorisations=counts.factorisations - factorisations,
+            )  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -58,6 +75,7 @@ class LoadStep:
     depth : of a body that is pressed in, mm; None where none is
     aim : the depth or the force of the body, in words; "" where it has neither
     time : at its end
+    meter : charged with the work of every iteration
     """
 
     number: int
@@ -65,6 +83,7 @@ class LoadStep:
     depth: float | None
     aim: str = ""
     time: float = 0.0
+    meter: WorkMeter | None = None
 
     def at(self, time: float, reached: str) -> str:
         """Text for a time on the way to this load step, and what is reached there."""

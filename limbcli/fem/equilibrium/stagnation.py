@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-from limbcli.fem.motion.state import Forces, State
+from limbcli.fem.motion.state import Forces
 
 _SAME = 0.01  # relative difference up to which two residuals count as equal
 _CERTAIN = 12  # repeating residuals that prove a cycle; while the drag is being increased fewer may repeat
@@ -19,29 +19,29 @@ class Stagnation:
     """Tracks the smallest residual and detects a two-iteration cycle.
 
     stalled : relative residual accepted on stagnation
-    state, error : state with the smallest relative residual so far, and that residual
+    least : forces with the smallest relative residual so far
     """
 
     stalled: float
-    state: State | None = None
-    error: float = float("inf")
+    least: Forces | None = None
     _errors: list[float] = field(default_factory=list)
 
-    def note(self, state: State, forces: Forces) -> None:
-        """Record an iteration; `state` carries its contact hints."""
+    def note(self, forces: Forces) -> None:
+        """Record an iteration."""
         self._errors.append(forces.error)
-        if forces.worst > 0 and forces.error < self.error:
-            self.state, self.error = state, forces.error
+        if forces.worst > 0 and (self.least is None or forces.error < self.least.error):
+            self.least = forces
 
     @property
-    def will_do(self) -> bool:
-        return self.error <= self.stalled
+    def acceptable(self) -> Forces | None:
+        """Those forces, if their residual is accepted on stagnation."""
+        return self.least if self.least is not None and self.least.error <= self.stalled else None
 
     @property
-    def goes_round(self) -> bool:
+    def repeats(self) -> bool:
         """Whether the last residuals repeat with a period of two: four of them if the smallest residual is
         acceptable, else `_CERTAIN`, since a converging iteration may also be slow for a while."""
-        n = 4 if self.will_do else _CERTAIN
+        n = 4 if self.acceptable else _CERTAIN
         last = self._errors[-n:]
         return len(last) == n and all(
             abs(a - b) <= _SAME * a for a, b in zip(last[:-2], last[2:], strict=True)

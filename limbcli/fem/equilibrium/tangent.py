@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 import scipy.sparse as sparse
-from numpy.typing import NDArray
 
 from limbcli.errors import SolveError
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.elements.assembly import total
 from limbcli.fem.equilibrium.stress_jumps import Jumps, find_jumps
 from limbcli.fem.linear_solvers.direct import LinearSolver
@@ -46,9 +46,9 @@ class Tangent:
     jumps: Jumps | None = None
     loads: sparse.csr_array | None = None
 
-    def times(self, state: State, step: Array) -> Array:
-        """Tangent times a change of the unknowns; contact at `state`, from the last search."""
-        return self.tissue_times(step) + self.system.contact_change(state, step)
+    def times(self, contact: ContactState, step: Array) -> Array:
+        """Tangent times a change of the unknowns."""
+        return self.tissue_times(step) + self.system.contact_change(contact, step)
 
     def tissue_times(self, step: Array) -> Array:
         """Tangent without contact times a change of the unknowns."""
@@ -158,7 +158,7 @@ class Inverse:
     direct solver has a root front.
     """
 
-    def __init__(self, tangent: Tangent, state: State, linear: LinearSolver):
+    def __init__(self, tangent: Tangent, contact: ContactState, linear: LinearSolver):
         self.linear, self.tangent = linear, tangent
         self.rooted: Any = linear  # the same object, accessed through its root-front interface
         system = tangent.system
@@ -166,53 +166,48 @@ class Inverse:
         root = getattr(linear, "root", None)
         self.n_root = 0 if root is None or not system.pairs else len(root)
         if self.n:
-            linear.factor(system.add_contact(state, tangent.upper(), couples=False))
+            linear.factor(system.add_contact(contact, tangent.upper(), couples=False))
         if self.n_root:
-            places = np.full(self.n + 1, -1, dtype=np.int64)
-            places[root] = np.arange(self.n_root)
-            self.places = places[system.equations]
-            inside = self._contact(state, couples=False)
+            rows = np.full(self.n + 1, -1, dtype=np.int64)
+            rows[root] = np.arange(self.n_root)
+            self.rows = rows[system.equations]
+            inside = self._contact(contact, couples=False)
             self.inside = 0.5 * (inside + inside.T)  # contact part contained in the factored matrix
-            self._take(self._contact(state))
-        self._set_border(state)
+            self._take(self._contact(contact), contact)
+        self._set_border(contact)
 
-    def follow(self, state: State) -> None:
-        """Update the root front with the contact tangent at `state` (last search), if it changed enough.
+    def follow(self, contact: ContactState) -> None:
+        """Update the root front with the contact tangent, if it changed enough.
 
         If all contact is lost during the iteration, the factor is not updated.
         """
         if not self.n_root:
             return
-        touching, full = self._meeting()
-        changed = int((touching != self.met[0]).sum())
-        if touching.any() and (changed > _FEW * touching.sum() or full != self.met[1]):
-            self._take(self._contact(state))
-            self._set_border(state)
+        touching = contact.touching
+        changed = int((touching != self.taken.touching).sum())
+        full = contact.full_tangent
+        if touching.any() and (changed > _FEW * touching.sum() or full != self.taken.full_tangent):
+            self._take(self._contact(contact), contact)
+            self._set_border(contact)
 
-    def _take(self, contact: sparse.csr_array) -> None:
+    def _take(self, matrix: sparse.csr_array, contact: ContactState) -> None:
         """Update the root front with a contact tangent."""
-        self.met = self._meeting()
-        if contact.nnz or self.inside.nnz:
-            self.rooted.update_root(contact - self.inside)
+        self.taken = contact
+        if matrix.nnz or self.inside.nnz:
+            self.rooted.update_root(matrix - self.inside)
 
-    def _meeting(self) -> tuple[NDArray[np.bool_], list[float]]:
-        """What the contact tangent depends on: touching points, and `Pair.full_tangent` of each pair."""
-        system = self.tangent.system
-        touching = [each.ravel() for each in system.touching()]
-        return np.concatenate(touching), [pair.full_tangent for pair in system.pairs]
-
-    def _contact(self, state: State, *, couples: bool = True) -> sparse.csr_array:
+    def _contact(self, contact: ContactState, *, couples: bool = True) -> sparse.csr_array:
         """The contact tangent of the root front's unknowns."""
-        return self.tangent.system.contact_matrix(state, self.places, self.n_root, couples=couples)
+        return self.tangent.system.contact_matrix(contact, self.rows, self.n_root, couples=couples)
 
-    def _set_border(self, state: State) -> None:
+    def _set_border(self, contact: ContactState) -> None:
         system = self.tangent.system
         n_rigid = len(system.rigid)
         self.border = np.zeros((system.n_unknowns, n_rigid))
         for k in range(n_rigid):
             unit = np.zeros(system.n_unknowns)
             unit[self.n + k] = 1.0
-            self.border[:, k] = self.tangent.times(state, unit)
+            self.border[:, k] = self.tangent.times(contact, unit)
         self.solved = np.zeros((self.n, n_rigid))
         for k in range(n_rigid if self.n else 0):
             self.solved[:, k] = self.linear.solve(np.ascontiguousarray(self.border[: self.n, k]))

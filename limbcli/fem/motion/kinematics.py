@@ -220,7 +220,7 @@ class Kinematics:
         motions = self.motions(step)
         for b in {b for b, _ in self.rigid}:
             bodies[b] = bodies[b].moved(motions[b])
-        return self.followed(State(state.time, u, tuple(bodies)))
+        return self.followed(State(state.time, u, tuple(bodies), state.hints))
 
     def motions(self, step: Array) -> Array:
         """The rigid-body part (n_bodies, 6) of a change of the unknowns."""

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limbcli.fem.motion.rigid import BodyState
 from limbcli.model import Array
+
+if TYPE_CHECKING:
+    from limbcli.fem.contacts.contact_state import ContactState
 
 
 def norm(v: Array) -> float:
@@ -19,7 +23,8 @@ def norm(v: Array) -> float:
 class State:
     """Displacements u (n_points, 3) of all nodes, and positions of the bodies.
 
-    hints : at a converged state, the rigid facet that each contact point touches
+    hints : the rigid facet (-1: none) that each contact point touches, or touched at the state from which
+        this one was reached; a contact search begins there. Empty: none
     volumes : independent volume ratios (n_cells, n_gauss) of each group, at which pressures are evaluated
         during the iteration; empty: the volume ratios of u, as at equilibrium
     """
@@ -44,18 +49,24 @@ class Forces:
         reaction
     bodies (n_bodies, 6) : external force and moment needed to hold each body in place
     residual : out-of-balance forces of the unknowns; scale : norm of the acting forces (N)
-    worst, place : smallest det F and its (group, cell)
-    mixed : residual with the pressures evaluated at the state's independent volume ratios
+    contact : as found at the state
+    worst, worst_cell : smallest det F and its (group, cell)
+    iterated : residual with the pressures evaluated at the state's independent volume ratios, which the
+        iteration makes vanish
     """
 
     nodal: Array
     bodies: Array
     residual: Array
     scale: float
-    n_touching: int
+    contact: ContactState
     worst: float
-    place: tuple[int, int]
-    mixed: Array
+    worst_cell: tuple[int, int]
+    iterated: Array
+
+    @property
+    def n_touching(self) -> int:
+        return self.contact.n_touching
 
     @property
     def error(self) -> float:
