@@ -17,7 +17,7 @@ from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping, remembers
 from limbcli.fem.equilibrium.newton import Counts, Newton, Settings
-from limbcli.fem.equilibrium.settings import LoadStep, WorkLimit
+from limbcli.fem.equilibrium.settings import WorkLimit
 from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
@@ -25,8 +25,6 @@ from limbcli.fem.system import System
 from limbcli.model import LimbModel, Step, Support
 from limbcli.model.bodies import Drive
 from limbcli.progress import SILENT, Progress
-
-_FIRST_ITERATE = 0.999  # part of a time step that FEBio's first iterate is taken to make
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,7 +61,7 @@ class Analysis:
 
     @property
     def remembers(self) -> bool:
-        """Whether the response depends on the loading path (viscoelastic materials, friction)."""
+        """Whether the response depends on the loading path: see `load_stepping.remembers`."""
         return remembers(self.model)
 
     @property
@@ -124,7 +122,7 @@ class Analysis:
                 self._stepping.patient = patient and (required is None or n_must < required)
                 try:
                     if self.settings.slip_as_febio and self.model.has_friction:
-                        state = self._held_anew(state, target, load_step, brief=brief)
+                        self._measured_as_febio(state, target)
                     state, forces = self._stepping.advance_to(target, load_step, known, brief=brief)
                 except SolveError:
                     if required is not None and n_must >= required:
@@ -141,12 +139,11 @@ class Analysis:
             begin = targets[-1]
         return snapshots
 
-    def _held_anew(self, state: State, target: float, load_step: LoadStep, *, brief: bool) -> State:
-        """Equilibrium nearly at the end of a time step, from which friction measures the rest of the step."""
-        within = state.time + _FIRST_ITERATE * (target - state.time)
-        state, _ = self._stepping.advance_to(within, load_step, None, brief=brief, augments=False)
-        self.system.remember(state)
-        return state
+    def _measured_as_febio(self, state: State, target: float) -> None:
+        """Friction measures a time step from where FEBio's first iterate ends, instead of from its start."""
+        hints = self.system.hints()
+        self.system.remember(self.newton.first_iterate(state, target))
+        self.system.recall(hints)
 
     def forget(self) -> None:
         """Discard the factor and increment sizes of earlier runs, which may change the last digits."""

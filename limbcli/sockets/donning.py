@@ -506,8 +506,8 @@ def _penetration(patch: Patch) -> float:
 
 
 def tractions(patch: Patch) -> tuple[Array, Array, Array]:
-    """Current area in contact or not (n_facets,), mean pressure (n_facets,) and mean tangential traction
-    (n_facets, 3) of a patch after a contact search."""
+    """Current area (n_facets,; that at rest where no point touches), mean pressure (n_facets,) and mean
+    tangential traction (n_facets, 3) of a patch after a contact search."""
     from limbcli.fem.contacts import friction_kernels
     from limbcli.fem.contacts.contact_points import NORMAL, TRACTION
 
@@ -515,8 +515,9 @@ def tractions(patch: Patch) -> tuple[Array, Array, Array]:
     size = np.linalg.norm(normal, axis=2)
     touching = patch.state[..., TRACTION] > 0
     weight = patch.weights * np.where(touching, size, 0.0)
-    rest = patch.weights * np.where(touching, 0.0, 1.0)
-    area = weight.sum(axis=1) + rest.sum(axis=1) / patch.weights.sum() * patch.areas
+    share = (patch.weights * touching).sum(axis=1) / patch.weights.sum()
+    # points that do not touch hold no current area: that of those of the facet that do
+    area = np.where(share > 0, weight.sum(axis=1) / np.maximum(share, 1e-300), patch.areas)
     pressure = (weight * patch.state[..., TRACTION]).sum(axis=1) / area
     tangential = np.zeros((len(patch.facets), 3))
     if patch.state.shape[2] == friction_kernels.N_STATE:

@@ -57,7 +57,6 @@ class LoadStepPath:
 
     known : initial guess at `target` from an earlier solve, until it has been tried; earlier : the same, kept
     brief : limited to few cuts and to a total of `most_iterations` of the analysis
-    augments : whether augmented contact sets its multipliers at the target
     start : at its beginning, the number of states reached, of increments in contact and of touching points
     cuts : since the last accepted increment; all_cuts : since the last load step
     restless : number of failed relaxations
@@ -73,7 +72,6 @@ class LoadStepPath:
     cuts: int = 0
     all_cuts: int = 0
     restless: int = 0
-    augments: bool = True
     earlier: State | None = field(init=False)
 
     def __post_init__(self) -> None:

@@ -39,8 +39,9 @@ def is_timed(model: LimbModel) -> bool:
 
 
 def remembers(model: LimbModel) -> bool:
-    """Whether the response depends on the loading path (viscoelastic materials, friction)."""
-    return is_timed(model) or model.has_friction
+    """Whether the response depends on the loading path (viscoelastic materials, friction, multipliers of a
+    contact, which every time step raises)."""
+    return is_timed(model) or model.has_friction or any(each.augmented for each in model.contacts)
 
 
 class LoadStepping:
@@ -71,13 +72,12 @@ class LoadStepping:
         self._n_touching = self._n_pressed = 0
 
     def advance_to(
-        self, target: float, load_step: LoadStep, known: State | None, *, brief: bool, augments: bool = True
+        self, target: float, load_step: LoadStep, known: State | None, *, brief: bool
     ) -> tuple[State, Forces]:
         """Equilibrium at a time, reached by increments for which Newton's method converges.
 
         known : initial guess at the target, from an earlier solve
         brief : give up after a few cuts and iterations
-        augments : whether augmented contact sets its multipliers at the target
 
         Intermediate increments only provide initial guesses and are solved to a loose tolerance, except
         with a viscoelastic law. For their outcomes see `increments.IncrementOutcome`.
@@ -85,7 +85,7 @@ class LoadStepping:
         newton = self._newton
         newton.mixed = newton.settings.mixed
         way = LoadStepPath(
-            target, load_step, known, brief, augments=augments,
+            target, load_step, known, brief,
             most_cuts=BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries),
             most_iterations=newton.counts.iterations + _BRIEF_ITERATIONS if brief else None,
             start=(len(self._reached), self._n_pressed, self._n_touching),
@@ -331,7 +331,7 @@ class LoadStepping:
 
     def _augmented(self, state: State, forces: Forces, way: LoadStepPath) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
-        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented and way.augments]
+        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
         before = [pair.multipliers() for pair in pairs]
         n_before = 0
         try:
