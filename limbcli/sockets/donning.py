@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from limbcli.errors import CaseError, SolveError
+from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
 from limbcli.model.bodies import Contact, Drive, RigidBody
@@ -223,6 +223,8 @@ def don_and_load(
     ------
     CaseError
         As `socket_model`.
+    MeshError
+        If the donned socket touches the skin nowhere, and there are loads.
     SolveError
         If the model holds what the solver does not support, or a step has no equilibrium.
     """
@@ -239,6 +241,13 @@ def don_and_load(
         if not snapshot.must:
             return
         states.append(_state(running, snapshot, next(loads)))
+        if options.loads_n and not states[0].facet_pressure_mpa.any():
+            raise MeshError(
+                "the donned socket touches the skin nowhere: a load along the limb has nothing to act on",
+                where="socket",
+                fix="check its place; make it tighter (all_mm, rectifications_mm), or move it further "
+                "up the limb",
+            )
         if len(states) == 1 and len(running.model.steps) > 1:
             running.model = with_gradual_release(running.model, states[0])
 

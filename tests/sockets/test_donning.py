@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tubes import LENGTH, OUTER, tube
 
-from limbcli.errors import CaseError, SolveError
+from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.contacts.contact_points import N_STATE, NORMAL, TRACTION
@@ -237,6 +237,11 @@ def test_a_load_that_nothing_holds_says_what_it_was() -> None:
     with pytest.raises(SolveError, match="the load of 40 N has no equilibrium") as caught:
         don_and_load(limb(), face(), pulled_off, threads=1)
     assert "out of it" in caught.value.fix
+
+
+def test_a_socket_that_touches_nowhere_says_so() -> None:
+    with pytest.raises(MeshError, match="touches the skin nowhere"):
+        don_and_load(limb(), face(tight=-1.0), replace(OPTIONS, donning_steps=1, friction=0.0), threads=1)
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:
