@@ -41,7 +41,7 @@ def is_timed(model: LimbModel) -> bool:
 def remembers(model: LimbModel) -> bool:
     """Whether the response depends on the loading path (viscoelastic materials, friction, multipliers of a
     contact, which every time step raises)."""
-    return is_timed(model) or model.has_friction or any(each.augmented for each in model.contacts)
+    return is_timed(model) or model.has_friction or any(each.is_augmented for each in model.contacts)
 
 
 class LoadStepping:
@@ -331,7 +331,7 @@ class LoadStepping:
 
     def _augmented(self, state: State, forces: Forces, way: LoadStepPath) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
-        pairs = [pair for pair in self._newton.system.pairs if pair.is_augmented]
+        pairs = [pair for pair in self._newton.system.pairs if pair.contact.is_augmented]
         before = [pair.multipliers() for pair in pairs]
         n_before = 0
         try:
