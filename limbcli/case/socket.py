@@ -95,6 +95,9 @@ def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput |
     if "socket" not in raw:
         return None, []
     file = str(files.folder / "case.toml")
+    lifting = _lifting(raw["socket"], file)
+    if lifting:
+        return None, lifting
     values, problems = schema.check_table(raw["socket"], schema.SOCKET, name="socket", file=file)
     if not values:
         return None, problems
@@ -135,6 +138,16 @@ def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput |
 def socket_of(case: Case) -> SocketInput | None:
     """The socket of a case; None if it has none, or a faulty one."""
     return read_socket(case.raw, CaseFiles.of(case.raw, case.folder))[0]
+
+
+def _lifting(table: object, file: str) -> list[Problem]:
+    """Loads that would lift the limb out of its socket."""
+    loads = table.get("loads_n") if isinstance(table, Mapping) else None
+    for load in loads if isinstance(loads, list) else ():
+        if isinstance(load, int | float) and load < 0:
+            what = f"socket.loads_n has {load:g} N, which lifts the limb out: nothing holds it in the socket"
+            return [Problem(what, file, "give the forces that press the limb into it, above 0 N")]
+    return []
 
 
 def _at_odds(values: Mapping[str, Any], file: str) -> list[Problem]:

@@ -26,8 +26,6 @@ from limbcli.model import LimbModel, Step, Support
 from limbcli.model.bodies import Drive
 from limbcli.progress import SILENT, Progress
 
-_FIRST_ITERATE = 0.999  # part of a time step that FEBio's first iterate is taken to make
-
 
 @dataclass(frozen=True, eq=False)
 class Snapshot:
@@ -121,10 +119,8 @@ class Analysis:
                 )
                 try:
                     if self.settings.slip_as_febio and self.model.has_friction:
-                        # nearly at the end of the time step, from where friction measures the rest of it
-                        nearly = state.time + _FIRST_ITERATE * (target - state.time)
-                        state, _ = advance(nearly, load_step, augments=False)
-                        newton.system.remember(state)
+                        # FEBio measures a time step from where its first iterate ends
+                        newton.system.remember(newton.first_iterate(state, target))
                     state, forces = advance(target, load_step, known)
                 except SolveError:
                     if required is not None and n_must >= required:

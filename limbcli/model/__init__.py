@@ -303,8 +303,9 @@ class LimbModel:
 
     @property
     def remembers(self) -> bool:
-        """Whether the response to a load depends on the way to it (viscoelastic materials, friction)."""
-        return self.is_viscoelastic or self.has_friction
+        """Whether the response to a load depends on the way to it: viscoelastic materials, friction, or the
+        multipliers of a contact, which every time step raises."""
+        return self.is_viscoelastic or self.has_friction or any(each.is_augmented for each in self.contacts)
 
     @property
     def has_friction(self) -> bool:

@@ -96,3 +96,8 @@ class Contact:
     more: Mapping[str, str] = field(default_factory=dict)
     penalty_curve: str | None = None
     gap_tolerance_curve: str | None = None
+
+    @property
+    def is_augmented(self) -> bool:
+        """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""
+        return self.augmented and max(self.tolerance, self.gap_tolerance) > 0

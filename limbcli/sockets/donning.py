@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from limbcli.errors import CaseError, SolveError
+from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
 from limbcli.model.bodies import Contact, Drive, RigidBody
@@ -224,6 +224,8 @@ def don_and_load(
     ------
     CaseError
         As `socket_model`.
+    MeshError
+        If the donned socket touches the skin nowhere, and there are loads.
     SolveError
         If the model holds what the solver does not support, or a step has no equilibrium.
     """
@@ -240,6 +242,13 @@ def don_and_load(
         if not snapshot.must:
             return
         states.append(_state(running, snapshot, next(loads)))
+        if options.loads_n and not states[0].facet_pressure_mpa.any():
+            raise MeshError(
+                "the donned socket touches the skin nowhere: a load along the limb has nothing to act on",
+                where="socket",
+                fix="check its place; make it tighter (all_mm, rectifications_mm), or move it further "
+                "up the limb",
+            )
         if len(states) == 1 and len(running.model.steps) > 1:
             running.model = with_gradual_release(running.model, states[0])
 
@@ -507,8 +516,8 @@ def _penetration(points: Array) -> float:
 
 
 def tractions(patch: Patch, points: Array) -> tuple[Array, Array, Array]:
-    """Current area in contact or not (n_facets,), mean pressure (n_facets,) and mean tangential traction
-    (n_facets, 3) of a patch.
+    """Current area (n_facets,; that at rest where no point touches), mean pressure (n_facets,) and mean
+    tangential traction (n_facets, 3) of a patch.
 
     points (n_facets, n_gauss, n_columns) : its part of a `ContactState`
     """
@@ -519,8 +528,9 @@ def tractions(patch: Patch, points: Array) -> tuple[Array, Array, Array]:
     size = np.linalg.norm(normal, axis=2)
     touching = points[..., TRACTION] > 0
     weight = patch.weights * np.where(touching, size, 0.0)
-    rest = patch.weights * np.where(touching, 0.0, 1.0)
-    area = weight.sum(axis=1) + rest.sum(axis=1) / patch.weights.sum() * patch.areas
+    share = (patch.weights * touching).sum(axis=1) / patch.weights.sum()
+    # points that do not touch hold no current area: that of those of the facet that do
+    area = np.where(share > 0, weight.sum(axis=1) / np.maximum(share, 1e-300), patch.areas)
     pressure = (weight * points[..., TRACTION]).sum(axis=1) / area
     tangential = np.zeros((len(patch.facets), 3))
     if points.shape[2] == friction_kernels.N_STATE:

@@ -380,8 +380,7 @@ def _table_differences(
 
 def path_dependent(model: LimbModel) -> bool:
     """Whether the response depends on the loading path, not only on the load."""
-    augmented = any(each.augmented for each in model.contacts)
-    return model.remembers or augmented or model.goes_on_from_steps
+    return model.remembers or model.goes_on_from_steps
 
 
 def _named_body(model: LimbModel, name: str) -> str:

@@ -8,7 +8,8 @@ Writes socket.feb as `limbcli socket` does, runs the reference solver and FEBio 
 --febio) on it, each in a process of its own, on one thread, and prints a row for each state: the difference
 of the facets' pressures (rms over the area, as a share of the rms pressure), the same at the nodes (weighted
 by area), of the total (pressure times area), the axial forces on the socket, processor seconds and peak
-memory. What has run is kept in DIR.
+memory. The pressure of a facet is the plain mean over its integration points, as FEBio logs it. What has run
+is kept in DIR.
 """
 
 from __future__ import annotations
@@ -35,6 +36,7 @@ from limbcli.case.socket import read_socket
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.feb.write import write_feb
+from limbcli.fem.contacts.contact_points import TRACTION
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.model.npz_file import load_model
 from limbcli.sockets.donning import SOCKET, don_and_load, tractions
@@ -96,9 +98,10 @@ def reference(feb: Path, *, slip_as_febio: bool = False) -> None:
         print(f"step {snapshot.part}.{snapshot.step} at {time.process_time():.1f} s", flush=True)
         if snapshot.must:
             (pair,), (contact,) = running.system.pairs, snapshot.forces.contact.points
-            area, pressure, shear = (
+            area, _, shear = (
                 np.concatenate(x) for x in zip(*map(tractions, pair.patches, contact), strict=True)
             )
+            pressure = np.concatenate([points[..., TRACTION].mean(axis=1) for points in contact])
             b = [each.name for each in running.system.bodies].index(SOCKET)
             force, shift = snapshot.forces.bodies[b, 2], snapshot.state.bodies[b].shift[2]
             states.append((pressure, area, np.linalg.norm(shear, axis=1), force, shift))

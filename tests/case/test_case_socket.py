@@ -57,7 +57,7 @@ def test_a_case_without_the_table_has_no_socket(tmp_path: Path):
         ({"surface": "socket.stl", "landmarks": {"tibial_end": [0, 0]}}, "not three numbers"),
         ({"loads_n": [800.0, 400.0]}, "has 400 N after 800 N"),
         ({"loads_n": [400.0, 400.0]}, "has 400 N after 400 N"),
-        ({"loads_n": [400.0, -1.0]}, "has -1 N"),
+        ({"loads_n": [400.0, -1.0]}, "has -1 N, which lifts the limb out"),
         ({"rectifications_mm": {"popliteal": 40.0}}, "popliteal is 40 mm"),
         ({"frction": 0.2}, "unknown key 'frction'"),
     ],

@@ -229,6 +229,10 @@ def test_forces_are_a_function_of_the_state(friction: float, rng: np.random.Gene
 def test_augmentations_go_on_as_febios() -> None:
     """Until multipliers and gap settle, within minaug and maxaug; without a tolerance there are none."""
     model = punch("hex8", (2, 2, 2), depth=0.5, levels=1)
+    (step,) = model.steps
+    model = replace(
+        model, steps=(replace(step, n_steps=1, step_size=step.n_steps * step.step_size, dt_max=None),)
+    )
     soft = replace(model.contacts[0], penalty=0.5, tolerance=0.1, augmented=True)
 
     def gap(more: dict[str, str] | None = None, **change: object) -> float:

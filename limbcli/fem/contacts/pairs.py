@@ -152,11 +152,6 @@ class Pair:
         for p, (pressure, *_) in zip(self.patches, found, strict=True):
             p.multiplier = pressure.copy()
 
-    @property
-    def is_augmented(self) -> bool:
-        """Whether augmentations are done; as in FEBio 4.11, only if one of the tolerances is positive."""
-        return self.contact.augmented and max(self.contact.tolerance, self.contact.gap_tolerance) > 0
-
     def augment(self, found: Sequence[Array], n_before: int) -> bool:
         """Set the multipliers to the current tractions; returns whether they have converged.
 

@@ -81,7 +81,6 @@ class LoadStepPath:
     known : initial guess at `target` from an earlier solve, until it has been tried; earlier : the same, kept
     brief : limited to few cuts and to a total of `most_iterations` of the analysis
     patient : whether to fall back on relaxation where Newton's method fails
-    augments : whether augmented contact sets its multipliers at the target
     cuts : since the last accepted increment; all_cuts : since the last load step
     failed_relaxations : their number
     """
@@ -94,7 +93,6 @@ class LoadStepPath:
     most_iterations: int | None
     start: Reached
     patient: bool = True
-    augments: bool = True
     cuts: int = 0
     all_cuts: int = 0
     failed_relaxations: int = 0

@@ -53,14 +53,13 @@ class LoadStepping:
 
     def advance_to(
         self, target: float, load_step: LoadStep, known: State | None = None, *, brief: bool = False,
-        patient: bool = True, augments: bool = True,
+        patient: bool = True,
     ) -> tuple[State, Forces]:  # fmt: skip
         """Equilibrium at a time, reached by increments for which Newton's method converges.
 
         known : initial guess at the target, from an earlier solve
         brief : give up after a few cuts and iterations
         patient : fall back on relaxation where Newton's method fails
-        augments : whether augmented contact sets its multipliers at the target
 
         Intermediate increments only provide initial guesses and are solved to a loose tolerance, except
         with a viscoelastic law. For their outcomes see `increments.IncrementOutcome`.
@@ -68,7 +67,7 @@ class LoadStepping:
         newton = self._newton
         newton.volume_ratios = newton.settings.volume_ratios
         way = LoadStepPath(
-            target, load_step, known, brief, patient=patient, augments=augments, start=self._reached,
+            target, load_step, known, brief, patient=patient, start=self._reached,
             most_cuts=BRIEF_CUTS if brief else max(_MAX_CUTS, self._step.max_retries),
             most_iterations=newton.counts.iterations + _BRIEF_ITERATIONS if brief else None,
         )  # fmt: skip
@@ -311,7 +310,7 @@ class LoadStepping:
     def _augmented(self, state: State, forces: Forces, way: LoadStepPath) -> tuple[State, Forces]:
         """Augmented Lagrangian iterations until the multipliers of every contact have converged."""
         every = enumerate(self._newton.system.pairs)
-        pairs = [(k, pair) for k, pair in every if pair.is_augmented and way.augments]
+        pairs = [(k, pair) for k, pair in every if pair.contact.is_augmented]
         before = [pair.multipliers() for _, pair in pairs]
         n_before = 0
         try:

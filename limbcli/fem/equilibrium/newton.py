@@ -21,6 +21,7 @@ __all__ = ["Counts", "LoadStep", "Newton", "NotConverged", "Settings"]
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4  # growth of the residual allowed per step, in the first iterations
 _ROUND_OFF = 1e-6  # residual regarded as round-off, as a fraction of `System.least_force`
 _FORCING = (1e-4, 0.1)  # bounds on the forcing term, the relative tolerance of the linear solve
+_LINEAR = 1e-8  # relative tolerance of the linear solve of a first iterate
 _ROUGH = 0.1  # relative tolerance of the linear solve of the tangent predictor
 _FAR = 0.1  # relative residual above which contact tractions are regarded as far from those at equilibrium
 _NEARLY_FLAT = 0.4  # volume ratio below which an element is reported as about to invert
@@ -81,6 +82,15 @@ class Newton:
         step, found = linearised.settle(aim, tissue, goal, forces.contact, first=first, far=True)
         guess = system.moved(replace(aim, hints=found.state.hints), step)
         return self.with_volumes(guess, state)
+
+    def first_iterate(self, state: State, time: float) -> State:
+        """Where one linear solve from `state` leads at another time: in general no equilibrium."""
+        system = self.system
+        system.at(time)
+        guess = system.prescribed(state, time)
+        forces = self.forces(guess)
+        self.linearised.refresh(guess, forces)
+        return system.moved(guess, self.linearised.solve(forces.contact, -forces.residual, _LINEAR))
 
     def with_volumes(self, guess: State, state: State) -> State:
         """The guess with volume ratios, and hence pressures, linear in its step from `state`.

@@ -11,8 +11,8 @@ class Settings:
     """Settings of the equilibrium solver.
 
     tolerance : relative residual, i.e. norm of the residual over norm of the acting forces
-    slip_as_febio : with friction, hold sticking points anew where a time step has nearly brought them, as
-        FEBio does after its first iterate: the two then agree, and every time step loses more friction
+    slip_as_febio : with friction, measure each time step from where its first linear solve ends, as FEBio
+        holds sticking points anew there: the two then agree, and every time step loses more friction
     stalled : relative residual accepted where the iteration stagnates, as when a contact point alternates
         between open and closed
     renew_ratio : the elastic tangent is reassembled after an iteration that leaves more than this fraction
