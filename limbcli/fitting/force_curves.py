@@ -254,7 +254,7 @@ class LawCurve:
         self._session.close()
 
 
-def _line_depths(lines: MaterialLines, result: SessionResult, rows: Array) -> Array:
+def _line_depths(lines: MaterialLines, result: SessionResult, rows: IntArray) -> Array:
     """Depths of the lines below the skin, mm (n_levels * n_lines,)."""
     return lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()
 
