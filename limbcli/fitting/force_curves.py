@@ -23,7 +23,7 @@ from limbcli.fitting.model_checks import ChangedBoundary
 from limbcli.fitting.solve_again import forces_again
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
-from limbcli.model import Array, ElementMap, LimbModel
+from limbcli.model import Array, ElementMap, IntArray, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.site_model.indentation_model import TISSUE, with_penalty, with_tissue
