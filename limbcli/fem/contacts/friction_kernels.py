@@ -166,29 +166,9 @@ def force(facets, N, weights, state, center, out, body):
 
 @njit
 def _change(
-    row,
-    before,
-    move,
-    pull,
-    eps,
-    mu,
-    yields,
-    couples,
-    center,
-    r,
-    g1,
-    g2,
-    n,
-    y,
-    c,
-    m,
-    dr,
-    d1,
-    d2,
-    motion,
-    df,
+    row, before, move, pull, eps, mu, yields, couples, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df,
     darm,
-):
+):  # fmt: skip
     """Change of |n| T, and of the lever arm from the body's centre, for changes of the point and the body.
 
     y, c, m : from `_slip`, used if the point slips
