@@ -7,6 +7,7 @@ stages, the report and the batch read these.
 from __future__ import annotations
 
 import contextlib
+import functools
 import hashlib
 import json
 import math
@@ -313,22 +314,27 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
 
 def provenance() -> dict[str, Any]:
     """Command (or Python call), versions and unit system of this run."""
-    from importlib import metadata  # whose own imports would be a third of those of `limbcli --help`
-
-    packages = ("numpy", "scipy", "numba", "pydicom", "scikit-image", "pymeshlab", "tetgen", "meshio")
-    versions = {}
-    for name in packages:
-        with contextlib.suppress(metadata.PackageNotFoundError):
-            versions[name] = metadata.version(name)
     return {
         "limbcli": __version__,
         "command": CALLED.get() or command_line(sys.argv),
         "python": platform.python_version(),
         "platform": f"{platform.system()} {platform.machine()}",
-        "packages": versions,
+        "packages": dict(_versions()),
         "units": "mm-N-s (MPa)",
         "finished_utc": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
+
+
+@functools.cache
+def _versions() -> Mapping[str, str]:
+    """Versions of the packages that results depend on, read once: each takes about as long as a small result."""
+    from importlib import metadata  # whose own imports would be a third of those of `limbcli --help`
+
+    versions = {}
+    for name in ("numpy", "scipy", "numba", "pydicom", "scikit-image", "pymeshlab", "tetgen", "meshio"):
+        with contextlib.suppress(metadata.PackageNotFoundError):
+            versions[name] = metadata.version(name)
+    return versions
 
 
 def plain(value: Any) -> Any:

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import functools
 import gc
 import os
-from importlib import metadata
 from pathlib import Path
 
 import numpy as np
@@ -17,9 +15,6 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # Files whose one test takes half a minute and more: at the end of a run all would wait for it.
 LONGEST = {"test_walkthrough.py", "test_notebook.py", "test_pages.py", "test_killed.py"}
 
-
-# Every result states the versions of packages: they stay what they are, and take as long to read as a page.
-metadata.version = functools.cache(metadata.version)
 
 # Python's own thresholds would look through the many thousand objects of tests and modules again and again.
 gc.set_threshold(50_000, 20, 20)
