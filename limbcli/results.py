@@ -327,7 +327,7 @@ def provenance() -> dict[str, Any]:
 
 @functools.cache
 def _versions() -> Mapping[str, str]:
-    """Versions of the packages that results depend on, read once: each takes about as long as a small result."""
+    """Versions of the packages that results depend on; reading them takes as long as a small result."""
     from importlib import metadata  # whose own imports would be a third of those of `limbcli --help`
 
     versions = {}
