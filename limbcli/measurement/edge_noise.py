@@ -69,7 +69,9 @@ def gaussian_part(values: Array) -> float:
     scale = float(np.mean(np.abs(values)))
     if scale == 0.0:
         return 0.0
-    relative = values / scale  # scaled, so that the tolerance of the search is independent of the unit
+    # without the unit, nor the round-off that it leaves: where sigma is nearly 0 the cost is flat, and the
+    # search would end elsewhere
+    relative = np.round(values / scale, 6)
 
     def cost(theta: Array) -> float:
         sigma, mean = np.exp(theta)

@@ -87,7 +87,8 @@ class Toy:
             (
                 independent("measurement", np.full(n, self.stated), source=self.source),
                 common("gain", 0.5 * stack(0, 1), source="spec"),
-            )
+            ),
+            self.source,
         )
         order = np.concatenate([np.arange(N_FORCE), np.arange(N_SPEED)]).astype(float)
         force = np.arange(n) < N_FORCE

@@ -109,13 +109,14 @@ def test_a_factor_serves_where_all_skin_slips(rng: np.random.Generator) -> None:
     state = analysis.run()[-1].state
     system, linearised = analysis.system, analysis.newton.linearised
     forces = system.forces(state)
-    assert not any((p.state[..., friction_kernels.STICKS] > 0).any() for p in system.pairs[0].patches)
-    linearised.refresh(state, forces.nodal)
+    contact = forces.contact
+    assert not any((points[..., friction_kernels.STICKS] > 0).any() for points in contact.points[0])
+    linearised.refresh(state, forces)
     tangent, inverse = linearised.tangent, linearised.inverse
     assert tangent is not None
     assert inverse is not None
     _, n, reached = gmres(
-        lambda v: tangent.times(state, v), inverse, rng.standard_normal(system.n_unknowns),
+        lambda v: tangent.times(contact, v), inverse, rng.standard_normal(system.n_unknowns),
         tolerance=1e-8, max_iterations=200,
     )  # fmt: skip
     assert reached <= 1e-8

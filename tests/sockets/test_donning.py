@@ -153,10 +153,8 @@ def test_a_facet_that_touches_in_part_bears_its_pressure_on_its_whole_current_ar
     state = np.zeros((2, 3, N_STATE))
     state[0, 1, TRACTION] = 0.03
     state[0, 1, NORMAL + 2] = 20.0  # twice the current area
-    patch = SimpleNamespace(
-        weights=np.full(3, 1 / 6), state=state, areas=np.array([9.0, 8.0]), facets=np.zeros((2, 3))
-    )
-    area, pressure, _ = donning.tractions(patch)  # type: ignore[arg-type]
+    patch = SimpleNamespace(weights=np.full(3, 1 / 6), areas=np.array([9.0, 8.0]), facets=np.zeros((2, 3)))
+    area, pressure, _ = donning.tractions(patch, state)  # type: ignore[arg-type]
     np.testing.assert_allclose(area, [10.0, 8.0])
     np.testing.assert_allclose(pressure, [0.01, 0.0])
 
