@@ -152,7 +152,9 @@ class Inverse:
     A factor of the tissue's symmetric part with the exact contact tangent in its root front, and the Schur
     complement of the border of rigid unknowns. Where the skin bends around the edge of the probe, its
     normals differ from the probe's and the contact tangent is far from symmetric: with the symmetric part
-    alone GMRES takes ten times the iterations.
+    alone GMRES takes ten times the iterations. That the shear of a slip follows its pressure is not in the
+    factor: with its symmetric part the matrix is indefinite, with half of that term as a negative stiffness
+    along the slip.
 
     The tissue part belongs to the state that was factored; the contact part is updated (`follow`) if the
     direct solver has a root front.
