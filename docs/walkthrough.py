@@ -51,21 +51,20 @@ subject = make_phantom(folder / "subject", seed=7, no_measurement=True, force=Tr
 print(subject)
 
 # %% Segment the images into surfaces. The markers on the skin define the position of the site.
-anatomy = segment(subject.case, out=folder / "anatomy", progress=tell)
+anatomy = segment(subject.case, out=results, progress=tell)
 print(f"bones: {', '.join(anatomy.bones)}; skin holds {anatomy.volume_cm3['skin']:.0f} cm3")
 for marker in anatomy.markers:
     print(f"marker {marker.number} at {np.round(marker.position_mm, 1)} mm (patient LPS)")
 
 # %% Simulate measurements on a different mesh from the fit's, with noise and a hidden error in the force
 measured = synth(
-    subject.case, folder / "case", out=folder / "anatomy", effects=f"force-zero={HIDDEN_N}", force=True,
+    subject.case, folder / "case", out=results, effects=f"force-zero={HIDDEN_N}", force=True,
     progress=tell, **TRUTH, **measuring,
 )  # fmt: skip
 case = measured.case
 print(measured.table())
 
-# %% Build a local model of the site and simulate it with start values
-segment(case, out=results, progress=tell)
+# %% Build a local model of the site on the same surfaces and simulate it with start values
 models = mesh(case, out=results, progress=tell, **sizes)
 print(f"{models['p1'].n_cells} elements, smallest angle {models['p1'].min_angle_deg:.0f} degrees")
 built = build_feb(case, out=results, progress=tell)

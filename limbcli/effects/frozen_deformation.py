@@ -18,6 +18,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any, Protocol
 
 import numpy as np
@@ -128,6 +129,11 @@ class SolvedDeformation:
         """Number of the cell that each point belongs to, (n_cells q,)."""
         return np.repeat(np.arange(len(self.volume)), self.volume.shape[1])
 
+    @cached_property
+    def rate(self) -> Array:
+        """(n, n) 1/mm: derivatives, at the depths, of the cubic spline through values at the depths."""
+        return np.asarray(CubicSpline(self.depth, np.eye(len(self.depth)))(self.depth, 1))
+
     def cell_energies(self, model: LimbModel) -> Array:
         """Stored energy (n, n_cells) in N mm of each cell at each depth; cached by model."""
         if id(model) not in self._energies:
@@ -187,8 +193,7 @@ def frozen_force(
     total = energies @ _cell_factor(model, stiffness, energies.shape[1])
     if not np.isfinite(total).all():
         return np.full(len(kinematics.depth), np.nan)
-    curve = CubicSpline(kinematics.depth, total)
-    return np.asarray(curve(kinematics.depth, 1))
+    return np.asarray(kinematics.rate @ total)
 
 
 def frozen_speed(

@@ -88,6 +88,7 @@ class ReducedBook:
     windows: Windows = field(default_factory=Windows)
     _deformed: dict = field(default_factory=dict)
     _laws: dict = field(default_factory=dict)
+    _without: dict = field(default_factory=dict)
 
     def _with(self, m: float, ingredients, *, waves: bool = False) -> LimbModel:
         model = self.model.with_material("tissue", ogden_type(c=self.c, f_kappa=100.0, m=m))
@@ -139,7 +140,9 @@ class ReducedBook:
         return _SHIFTS[key]
 
     def _shift(self, m: float, ingredients) -> tuple[np.ndarray, np.ndarray]:
-        changed, plain = self._raw(m, ingredients), self._raw(m, ())
+        if m not in self._without:
+            self._without[m] = self._raw(m, ())
+        changed, plain = self._raw(m, ingredients), self._without[m]
         ratio = np.log(np.maximum(changed.force[1:], 1e-9) / plain.force[1:])
         return np.concatenate([ratio[:1], ratio]), changed.log_speed - plain.log_speed
 

@@ -150,7 +150,6 @@ def test_punch_on_a_bonded_layer_is_that_of_hayes(
 
 
 SETS = {
-    2: (5.445, 1.389, 616.151),
     3: (10.488, 2.0, 6723.57),
     4: (10.488, 1.044, 6903.8),
     6: (7.841, 3.245, 1147.59),
@@ -160,17 +159,17 @@ SETS = {
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("element", "number", "tolerance"),
-    [*(("tet4", k, 1e-4) for k in (2, 4, 6)), ("tet10", 3, 1e-3)],
+    [("tet4", 4, 1e-4), ("tet4", 6, 1e-4), ("tet10", 3, 1e-3)],
 )
 def test_limb_agrees_with_febio_at_every_level(
     golden: Path, element: str, number: int, tolerance: float
 ) -> None:
     """tet4 against full Newton; tet10 against FEBio's BFGS, whose own tolerance shows at the first levels:
-    the first three of its ten, as the last ones cost ten times as much."""
+    the first two of its ten, as the last ones cost ten times as much."""
     c, m, kappa = SETS[number]
     model = read_feb(golden / "limb-posterior" / f"{element}.feb.gz")
     model = model.with_material("tissue", ogden_type(c=1e-3 * c, f_kappa=kappa / c, m=m))
-    n_levels = 10 if element == "tet4" else 3
+    n_levels = 10 if element == "tet4" else 2
     (step,) = model.steps
     first = replace(step, must_points=step.must_points[:n_levels], n_steps=step.n_steps * n_levels // 10)
     model = replace(model, steps=(first,))

@@ -11,6 +11,7 @@ from functools import cached_property
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from limbcli.effects.frozen_deformation import ScannerView
@@ -79,6 +80,11 @@ class Windows:
         x = self.left + (self.right - self.left) * (np.arange(self.across) + 0.5) / self.across
         z = self.top + (self.bottom - self.top) * (np.arange(self.down) + 0.5) / self.down
         return np.array([(a, b) for b in z for a in x])
+
+    @cached_property
+    def _inner(self) -> NDArray[np.bool_]:
+        """Parts (n_parts,) within the narrowest region that a mean may be over."""
+        return np.asarray(np.abs(self.middles[:, 0]) < _INNER_MM)
 
     def without_spikes(self, ln_speed: Array) -> Array:
         """ln speeds (n, 1 + n_parts) with a 3 x 3 median filter over the parts; the whole is unchanged.
@@ -153,7 +159,7 @@ class Windows:
         every = np.log(total.sum() / counts.sum())
         if self.whole_is_known:
             return float(every)
-        inner = np.abs(self.middles[:, 0]) < _INNER_MM
+        inner = self._inner
         if not counts[inner].any():
             return float(every)
         return float(0.5 * (every + np.log(total[inner].sum() / counts[inner].sum())))
@@ -164,7 +170,7 @@ class Windows:
         if self.whole_is_known:
             return np.zeros(len(log_speed))
         speed = np.exp(log_speed[:, 1:])
-        inner = np.abs(self.middles[:, 0]) < _INNER_MM
+        inner = self._inner
         with np.errstate(invalid="ignore"):
             narrow, wide = (
                 np.nanmean(np.where(mask, speed, np.nan), axis=1) for mask in (inner, np.isfinite(inner))

@@ -136,6 +136,7 @@ class SiteCurves:
         self.correction, self.penetration = correction, penetration
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
+        self._whole: dict[float, tuple[Curves, Array]] = {}  # by m: `_logs_of`
         self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}  # by the key of the model
 
@@ -288,12 +289,17 @@ class SiteCurves:
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
         weights = _weights(bend(np.array(nodes)), float(bend(m)))
-        # the parts of maps that one m shows and another does not are interpolated between the same depths
-        whole = [replace(each, log_speed=without_gaps(each)) for each in (self.nodes[m] for m in nodes)]
-        total = sum(
-            (w * logs(each) for w, each in zip(weights, whole, strict=True)), np.zeros_like(logs(first))
-        )
+        total = np.asarray(sum(w * self._logs_of(node) for w, node in zip(weights, nodes, strict=True)))
         return first.depth, total + self._corrected(m, total.shape[1]), first
+
+    def _logs_of(self, node: float) -> Array:
+        """`logs` of the curves solved at this m, without gaps: the parts of maps that one m shows and another
+        does not are interpolated between the same depths. Kept until these curves are solved again."""
+        solved = self.nodes[node]
+        known = self._whole.get(node)
+        if known is None or known[0] is not solved:
+            known = self._whole[node] = solved, logs(replace(solved, log_speed=without_gaps(solved)))
+        return known[1]
 
 
 def _weights(known: Array, at: float) -> Array:
