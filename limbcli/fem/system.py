@@ -18,6 +18,7 @@ from limbcli.fem.contacts.contact import make_pairs
 from limbcli.fem.contacts.contact_points import FACET, add_symmetric
 from limbcli.fem.contacts.contact_reach import near_nodes
 from limbcli.fem.contacts.contact_state import ContactState
+from limbcli.fem.contacts.friction import FrictionPair
 from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.elements.assembly import Pattern, Threads, make_pattern
 from limbcli.fem.elements.element_loops import ElementLoops
@@ -136,13 +137,13 @@ class System(RigidLoads, ElementLoops):
         self.scales = [1.0] * len(self.groups)
         self.histories = [np.zeros((0, 1, 6))] * len(self.groups)
         for pair in self.pairs:
-            pair.forget()
+            pair.forget(self.X)
         self.at(0.0)
 
     def remember(self, state: State) -> None:
         """Store a converged state as the reference for friction."""
         for pair, hints in zip(self.pairs, self._hints_by_pair(state), strict=True):
-            pair.remember(self.X + state.u, state.bodies[pair.body], hints)
+            pair.remember(self.X + state.u, hints)
 
     def take_multipliers(self, before: System) -> None:
         """Copy the multipliers of the augmented contacts from the system of the previous step."""
@@ -196,7 +197,7 @@ class System(RigidLoads, ElementLoops):
         found, hints, n_touching = [], [], 0
         begins = self._hints_by_pair(state if before is None else before.state)
         for pair, begin in zip(self.pairs, begins, strict=True):
-            points, n = pair.search(self.X + state.u, state.bodies[pair.body], begin)
+            points, n = pair.search(self.X + state.u, begin)
             found.append(points)
             hints += [each[..., FACET].copy() for each in points]
             n_touching += n
@@ -210,10 +211,28 @@ class System(RigidLoads, ElementLoops):
         """Contact's forces on the nodes (n_points, 3), and what holds the bodies against it (n_bodies, 6)."""
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
         for pair, found in zip(self.pairs, contact.points, strict=True):
-            push = np.zeros(6)
-            pair.force(found, contact.state.bodies[pair.body], nodal, push)
-            bodies[pair.body] -= push
+            pair.force(found, nodal)
+        self.gather_touched(contact.state, nodal, bodies)
         return nodal, bodies
+
+    @property
+    def first_touched(self) -> int:
+        """Number of the body that the first contact with one has, or else of the first body."""
+        return next((pair.body for pair in self.pairs if pair.body is not None), 0)
+
+    def gather_touched(self, state: State, nodal: Array, bodies: Array) -> None:
+        """Move forces on the nodes of the bodies that touch to the bodies' forces and moments."""
+        for b, nodes, arm in self._touched_bodies(state):
+            bodies[b, :3] += nodal[nodes].sum(axis=0)
+            bodies[b, 3:] += np.cross(arm, nodal[nodes]).sum(axis=0)
+            nodal[nodes] = 0.0
+
+    def _touched_bodies(self, state: State) -> Iterator[tuple[int, IntArray, Array]]:
+        """The bodies on the secondary side: number, their nodes there, and these nodes' lever arms."""
+        for b in sorted({pair.body for pair in self.pairs if pair.body is not None}):
+            facets = [pair.facets2[pair.facets2 >= 0] for pair in self.pairs if pair.body == b]
+            nodes = np.unique(np.concatenate(facets))
+            yield b, nodes, self.X[nodes] + state.u[nodes] - self.center(b, state)
 
     def contact_residual(self, contact: ContactState) -> Array:
         """The contact part of the residual."""
@@ -221,40 +240,54 @@ class System(RigidLoads, ElementLoops):
         self.gather_tied(contact.state, nodal, bodies)
         return np.concatenate([nodal[self.free], [bodies[k] for k in self.rigid]])
 
-    def _contact_blocks(self, contact: ContactState, couples: bool) -> Iterator[tuple[Patch, Array, Array]]:
-        """Every patch with the tangent of its facets, and which of them touch."""
-        state, x, full = contact.state, self.X + contact.state.u, contact.full_tangent
-        for pair, found in zip(self.pairs, contact.points, strict=True):
-            for k, patch in enumerate(pair.patches):
-                at = state.bodies[pair.body]
-                yield patch, *pair.blocks(k, found[k], at, x, full=full, couples=couples)
-
     def add_contact(self, contact: ContactState, values: Array, *, couples: bool = True) -> Array:
-        """A copy of the matrix values with the symmetric part of the contact tangent added.
+        """A copy of the matrix values with the symmetric part of the contact tangent added, except for what
+        `couplings` hold.
 
         couples : see `Pair.blocks`
         """
-        values = values.copy()
-        for patch, blocks, touched in self._contact_blocks(contact, couples):
-            add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
+        values, x = values.copy(), self.X + contact.state.u
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            for k, patch in enumerate(pair.patches if pair.body is not None else ()):
+                blocks, touched = pair.blocks(k, found[k], x, full=contact.full_tangent, couples=couples)
+                add_symmetric(blocks, touched, patch.pairs, self.pattern.slots, values)
         return values
 
+    @property
+    def has_couplings(self) -> bool:
+        """Whether contact couples soft surfaces, nodes that share no cell."""
+        return any(pair.body is None for pair in self.pairs)
+
+    def couplings(self, contact: ContactState, *, couples: bool = True) -> sparse.csr_array:
+        """Symmetric part of the contact tangent (n_tissue, n_tissue) between soft surfaces."""
+        rows = self.equations
+        soft = self.contact_matrix(contact, rows, self.n_tissue, couples=couples, rigid=False)
+        return 0.5 * (soft + soft.T)
+
     def contact_matrix(
-        self, contact: ContactState, rows: IntArray, n: int, *, couples: bool = True
+        self, contact: ContactState, rows: IntArray, n: int, *, couples: bool = True, rigid: bool = True
     ) -> sparse.csr_array:
         """Contact tangent (n, n) for a subset of the unknowns.
 
         rows (n_points, 3) : row of each degree of freedom in the result; -1 leaves it out
         couples : see `Pair.blocks`
+        rigid : False leaves out contact with rigid bodies
         """
-        parts = []
-        for patch, blocks, touched in self._contact_blocks(contact, couples):
-            size = 3 * patch.facets.shape[1]
-            mine = rows[patch.facets[touched]].reshape(-1, size)
-            values = blocks[touched].reshape(-1, size, size)
-            row, column = np.broadcast_arrays(mine[:, :, None], mine[:, None, :])
-            inside = (row >= 0) & (column >= 0)
-            parts.append((values[inside], row[inside], column[inside]))
+        x, options = self.X + contact.state.u, {"full": contact.full_tangent, "couples": couples}
+        parts = [(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64))]
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            for k, patch in enumerate(pair.patches if rigid or pair.body is None else ()):
+                if isinstance(pair, FrictionPair) and pair.body is None:
+                    nodes, blocks = pair.both_blocks(k, found[k], x, **options)
+                else:
+                    blocks, touched = pair.blocks(k, found[k], x, **options)
+                    nodes, blocks = patch.facets[touched], blocks[touched]
+                size = 3 * nodes.shape[1]
+                mine = np.where((nodes >= 0)[..., None], rows[nodes], -1).reshape(-1, size)
+                values = blocks.reshape(-1, size, size)
+                row, column = np.broadcast_arrays(mine[:, :, None], mine[:, None, :])
+                inside = (row >= 0) & (column >= 0)
+                parts.append((values[inside], row[inside], column[inside]))
         values, row, column = (np.concatenate(each) for each in zip(*parts, strict=True))
         return sparse.coo_array((values, (row, column)), shape=(n, n)).tocsr()
 
@@ -266,6 +299,7 @@ class System(RigidLoads, ElementLoops):
         nodes = [
             near_nodes(self.X, pair.facets2, patch.facets, patch.normals)
             for pair in self.pairs
+            if pair.body is not None
             for patch in pair.patches
         ]
         found = self.equations[np.concatenate(nodes)].ravel() if nodes else np.zeros(0, dtype=np.int64)
@@ -273,7 +307,7 @@ class System(RigidLoads, ElementLoops):
         return found if len(found) <= _MOST_IN_ROOT else found[:0]
 
     def may_pass(self, state: State, time: float) -> bool:
-        """Whether a rigid surface not in contact at a converged state would move by more than the contact
+        """Whether a secondary surface not in contact at a converged state would move by more than the contact
         search radius until `time`, so that it could pass through the skin undetected."""
         ways = np.linalg.norm(self.prescribed(state, time).u - state.u, axis=1)
         for pair, hints in zip(self.pairs, self._hints_by_pair(state), strict=True):
@@ -289,11 +323,19 @@ class System(RigidLoads, ElementLoops):
         Returns forces on the nodes (n_points, 3) and on the bodies (n_bodies, 6).
         """
         nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
-        state, full = contact.state, contact.full_tangent
+        state, full, v = contact.state, contact.full_tangent, v.copy()
+        touched = list(self._touched_bodies(state))
+        for b, nodes, arm in touched:
+            v[nodes] = motions[b, :3] + np.cross(motions[b, 3:], arm)
         for pair, found in zip(self.pairs, contact.points, strict=True):
-            at, body = state.bodies[pair.body], np.zeros(6)
-            pair.times(found, at, self.X + state.u, v, motions[pair.body], nodal, body, full=full)
-            bodies[pair.body] -= body
+            pair.times(found, self.X + state.u, v, nodal, full=full)
+        turns = full and any(motions[b, 3:].any() for b, _, _ in touched)
+        forces = np.zeros_like(nodal)
+        for pair, found in zip(self.pairs if turns else (), contact.points, strict=False):
+            pair.force(found, forces)
+        for b, nodes, arm in touched:
+            bodies[b, 3:] += np.cross(np.cross(motions[b, 3:], arm), forces[nodes]).sum(axis=0)
+        self.gather_touched(state, nodal, bodies)
         return nodal, bodies
 
     def contact_change(

@@ -151,7 +151,7 @@ def _overlap(model: LimbModel, pair: Pair, body: RigidBody, at: BodyState) -> fl
     x = np.array(model.mesh.points, dtype=float)
     own = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in body.blocks]))
     x[own] = at.place(x[own], np.array(body.center_of_mass, dtype=float))
-    found = [each[each[..., TRACTION] > 0, GAP] for each in pair.search(x, at)[0]]
+    found = [each[each[..., TRACTION] > 0, GAP] for each in pair.search(x)[0]]
     return float(np.concatenate(found).max(initial=0.0))
 
 

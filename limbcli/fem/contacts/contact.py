@@ -1,4 +1,4 @@
-"""Builds the contact pairs of a model: patches of soft facets against the facets of a rigid body."""
+"""Builds the contact pairs of a model: patches of soft facets against the facets of rigid bodies or tissue."""
 
 from __future__ import annotations
 
@@ -27,14 +27,15 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         _refuse(contact)
         secondary = _surface(model, contact.secondary)
         primary = _surface(model, contact.primary)
-        body, facets2 = _rigid_side(secondary, bodies, contact)
+        facets2 = _secondary_side(secondary, contact)
+        body = _body_of(facets2, groups, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
-        if contact.friction:  # no fading at the rim: a sticking point does not slide off
-            sharp = np.zeros(facets2.shape)
-            pairs.append(FrictionPair(contact, body, bodies[body], facets2, patches, sharp))
+        points = np.ascontiguousarray(model.mesh.points, dtype=float)
+        if contact.friction or body is None:  # no fading at the rim: a sticking point does not slide off
+            sharp = np.zeros((len(facets2), 4))
+            pairs.append(FrictionPair(contact, facets2, patches, sharp, body, points))
         else:
-            rim = rim_widths(model.mesh.points, facets2, patches)
-            pairs.append(Pair(contact, body, bodies[body], facets2, patches, rim))
+            pairs.append(Pair(contact, facets2, patches, rim_widths(points, facets2, patches), body))
     return pairs
 
 
@@ -69,27 +70,38 @@ def _refuse(contact: Contact) -> None:
         )
 
 
-def _rigid_side(surface: Surface, bodies: Sequence[Body], contact: Contact) -> tuple[int, IntArray]:
-    parts = []
+def _secondary_side(surface: Surface, contact: Contact) -> IntArray:
+    """The nodes of its facets, see `contact_points`."""
+    width = 6 if "tri6" in surface.facets else 4
+    parts = [np.zeros((0, width), dtype=np.int64)]
     for kind, facets in surface.facets.items():
-        if kind not in ("tri3", "quad4"):
+        if kind not in ("tri3", "quad4", "tri6"):
             raise SolveError(
-                f"{kind} facets on the rigid side are not supported",
+                f"{kind} facets on the secondary side are not supported",
                 where=f"contact {contact.name!r}",
-                fix="use tri3 or quad4 facets for the probe",
+                fix="use tri3, quad4 or tri6 facets",
             )
-        full = np.full((len(facets), 4), -1, dtype=np.int64)
+        full = np.full((len(facets), width), -1, dtype=np.int64)
         full[:, : facets.shape[1]] = facets
         parts.append(full)
-    facets2 = np.concatenate(parts) if parts else np.zeros((0, 4), dtype=np.int64)
+    return np.concatenate(parts)
+
+
+def _body_of(
+    facets2: IntArray, groups: Sequence[Group], bodies: Sequence[Body], contact: Contact
+) -> int | None:
+    """Number of the rigid body that the secondary side is part of; None if it is part of the tissue."""
     used = np.unique(facets2[facets2 >= 0])
     for k, body in enumerate(bodies):
         if len(used) and np.isin(used, body.points).all():
-            return k, facets2
+            return k
+    soft = np.concatenate([np.zeros(0, dtype=np.int64), *(group.cells.ravel() for group in groups)])
+    if len(used) and np.isin(used, soft).all():
+        return None
     raise SolveError(
-        f"the secondary surface {contact.secondary!r} is not part of one rigid body",
+        f"the secondary surface {contact.secondary!r} is part neither of one rigid body nor of the tissue",
         where=f"contact {contact.name!r}",
-        fix="make the probe a rigid body and the skin the primary surface",
+        fix="make its facets those of one rigid body, or faces of the tissue's cells",
     )
 
 

@@ -1,6 +1,6 @@
-"""Compiled loops of frictionless contact between a soft surface and a rigid one: force and tangent.
+"""Compiled loops of frictionless contact: force and tangent.
 
-Where contact was found (see `contact_search`), the soft side bears a traction t = eps g (plus a multiplier)
+Where contact was found (see `contact_search`), the primary side bears a traction t = eps g (plus a multiplier)
 against its normal, per current area. Columns of `state` and symbols are explained in `contact_points`.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic).
@@ -11,25 +11,30 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.fem.contacts.contact_points import (
+    FACET,
     GAP,
+    MOST_NODES,
+    NATURAL,
     NORMAL,
     OTHER,
-    POINT,
     SLIDE,
     TRACTION,
     WEIGHT,
-    cross,
+    facet_point,
+    facet_shape,
+    natural_change,
     normal_change,
     point_change,
     point_geometry,
     push,
+    spread,
 )
 from limbcli.numbers.compiled import njit
 
 
 @njit
-def force(facets, N, weights, state, center, out, body):
-    """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
+def force(facets, N, weights, state, facets2, out):
+    """out (n_points, 3) += contact part of the residual, of the nodes on both sides."""
     f3 = np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
@@ -38,11 +43,11 @@ def force(facets, N, weights, state, center, out, body):
                 continue
             for i in range(3):
                 f3[i] = weights[k] * row[TRACTION] * row[NORMAL + i]
-            push(f3, row, center, facets[f], N[k], out, body)
+            push(f3, row, facets[f], N[k], facets2[int(row[FACET])], out)
 
 
 @njit
-def scaled_force(facets, N, weights, state, deps, center, out, body):
+def scaled_force(facets, N, weights, state, deps, facets2, out):
     """Derivative of `force` for a change deps (n_facets,) of eps at fixed positions."""
     f3 = np.empty(3)
     for f in range(facets.shape[0]):
@@ -52,13 +57,13 @@ def scaled_force(facets, N, weights, state, deps, center, out, body):
                 continue
             for i in range(3):
                 f3[i] = weights[k] * deps[f] * row[WEIGHT] * row[GAP] * row[NORMAL + i]
-            push(f3, row, center, facets[f], N[k], out, body)
+            push(f3, row, facets[f], N[k], facets2[int(row[FACET])], out)
 
 
 @njit
 def _gap_change(row, gap, nu, dr, dnu, slip):
-    """Change of the gap for changes dr of the point and dnu of its normal, and motion `slip` of the rigid
-    facet."""
+    """Change of the gap for changes dr of the point and dnu of its normal, and motion `slip` of the secondary
+    facet's material point."""
     top, bottom = 0.0, 0.0
     for i in range(3):
         top += row[OTHER + i] * (dr[i] - gap * dnu[i] - slip[i])
@@ -67,15 +72,16 @@ def _gap_change(row, gap, nu, dr, dnu, slip):
 
 
 @njit
-def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out, body):
-    """Derivative of `force` along v (n_points, 3) and the body's motion (6).
+def times(x, facets, N, dN, weights, eps, state, turning, facets2, v, out):
+    """Derivative of `force` along v (n_points, 3), of the nodes on both sides.
 
-    motion : translation of the centre and small rotation vector about it
     turning : 1 for the exact derivative, 0 to omit the terms due to the rotation of the normal
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, dn, dnu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    slip, f3, df, arm, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    q, xs, xt, slip, vs, vt = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    f3, df, move = np.empty(3), np.empty(3), np.empty(3)
+    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row = state[f, k]
@@ -85,25 +91,26 @@ def times(x, facets, N, dN, weights, eps, state, turning, center, v, motion, out
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
             length = normal_change(g1, g2, n, d1, d2, dn, dnu)
+            nodes2 = facets2[int(row[FACET])]
+            n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
+            facet_point(x, nodes2, N2[:n2], dN2, q, xs, xt)
+            facet_point(v, nodes2, N2[:n2], dN2, slip, vs, vt)
             for i in range(3):
                 nu[i] = n[i] / length
-                arm[i] = row[POINT + i] - center[i]
-            cross(motion[3:6], arm, slip)
-            for i in range(3):
-                slip[i] += motion[i]
             dg = _gap_change(row, gap, nu, dr, dnu, slip)
             dt = row[WEIGHT] * eps[f] * dg
             for i in range(3):
-                arm[i] = dr[i] - dg * nu[i] - gap * dnu[i]  # change of the contact point q
-                dt += t / row[WEIGHT] * row[SLIDE + i] * (arm[i] - slip[i])
+                move[i] = dr[i] - dg * nu[i] - gap * dnu[i] - slip[i]  # of the contact point along the facet
+                dt += t / row[WEIGHT] * row[SLIDE + i] * move[i]
             for i in range(3):
                 df[i] = weights[k] * (dt * n[i] + t * dn[i])
                 f3[i] = weights[k] * t * n[i]
-                arm[i] -= motion[i]
-            push(df, row, center, facets[f], N[k], out, body)
-            cross(arm, f3, w)
-            for i in range(3):
-                body[3 + i] += w[i]
+            spread(df, facets[f], N[k], out)
+            du, dw = natural_change(move, xs, xt)
+            for a in range(n2):
+                change = dN2[a, 0] * du + dN2[a, 1] * dw
+                for i in range(3):
+                    out[nodes2[a], i] -= N2[a] * df[i] + change * f3[i]
 
 
 @njit

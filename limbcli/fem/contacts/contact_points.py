@@ -1,11 +1,15 @@
-"""Integration points of soft facets in contact: kinematics and state shared by the compiled contact loops.
+"""Integration points of primary facets in contact: kinematics and state shared by the compiled contact loops.
 
-Every integration point of the soft facets has a current position r, area vector n = g1 x g2 and unit normal
-nu; the line along nu intersects the rigid surface at q with gap g = nu.(r - q), positive for penetration.
-`state` (n_facets, n_gauss, 16) holds gap, n, m (normal of the rigid facet at q), q, traction, rigid facet,
-weight, and the gradient of the weight with respect to q.
+Every integration point of the primary facets has a current position r, area vector n = g1 x g2 and unit normal
+nu; the line along nu intersects the secondary surface at q with gap g = nu.(r - q), positive for penetration.
+`state` (n_facets, n_gauss, 18) holds gap, n, m (normal of the secondary facet at q), q, traction, secondary
+facet, weight, the gradient of the weight with respect to q, and the natural coordinates of q.
 
-A rigid surface that is not closed ends at a rim. There the traction is faded out by a weight that falls from
+The secondary surface is known by its nodes alone, whether these deform with tissue or move with a rigid body:
+a force f at r acts as N_a f on the nodes of the primary facet and as -N_a(q) f on those of the secondary one.
+`facets2` (n, 4 or 6) are its nodes: of a triangle the fourth is -1, of all but a tri6 those from the fifth on.
+
+A secondary surface that is not closed ends at a rim. There the traction is faded out by a weight that falls from
 1 to 0 across the rim, over a small fraction of the soft facets' size: without it, a point loses its whole
 traction as it slides off and regains it as it springs back, so that no equilibrium exists.
 """
@@ -16,8 +20,9 @@ import numpy as np
 
 from limbcli.numbers.compiled import njit
 
-GAP, NORMAL, OTHER, POINT, TRACTION, FACET, WEIGHT, SLIDE = 0, 1, 4, 7, 10, 11, 12, 13
-N_STATE = 16
+GAP, NORMAL, OTHER, POINT, TRACTION, FACET, WEIGHT, SLIDE, NATURAL = 0, 1, 4, 7, 10, 11, 12, 13, 16
+N_STATE = 18
+MOST_NODES = 6  # of a secondary facet
 
 
 @njit(forceinline=True)
@@ -73,16 +78,68 @@ def normal_change(g1, g2, n, d1, d2, dn, dnu):
 
 
 @njit
-def push(f3, row, center, nodes, N, out, body):
-    """Add a force f3 at the contact point to the soft nodes, out (n_points, 3), and to the rigid body (6)."""
-    arm, moment = np.empty(3), np.empty(3)
-    for i in range(3):
-        arm[i] = row[POINT + i] - center[i]
-    cross(arm, f3, moment)
-    for i in range(3):
-        body[i] += f3[i]
-        body[3 + i] += moment[i]
+def facet_shape(nodes, s, t, N, dN):
+    """Shape functions N (6) and derivatives dN (6, 2) of a secondary facet; returns its number of nodes."""
+    if nodes.shape[0] > 4 and nodes[4] >= 0:
+        r = 1.0 - s - t
+        N[0], N[1], N[2] = r * (2 * r - 1), s * (2 * s - 1), t * (2 * t - 1)
+        N[3], N[4], N[5] = 4 * r * s, 4 * s * t, 4 * t * r
+        dN[0, 0] = dN[0, 1] = 1.0 - 4 * r
+        dN[1, 0], dN[1, 1] = 4 * s - 1, 0.0
+        dN[2, 0], dN[2, 1] = 0.0, 4 * t - 1
+        dN[3, 0], dN[3, 1] = 4 * (r - s), -4 * s
+        dN[4, 0], dN[4, 1] = 4 * t, 4 * s
+        dN[5, 0], dN[5, 1] = -4 * t, 4 * (r - t)
+        return 6
+    if nodes[3] >= 0:
+        for a in range(4):
+            u, v = (-1.0, 1.0, 1.0, -1.0)[a], (-1.0, -1.0, 1.0, 1.0)[a]
+            N[a] = 0.25 * (1 + u * s) * (1 + v * t)
+            dN[a, 0], dN[a, 1] = 0.25 * u * (1 + v * t), 0.25 * v * (1 + u * s)
+        return 4
+    N[0], N[1], N[2] = 1.0 - s - t, s, t
+    dN[0, 0] = dN[0, 1] = -1.0
+    dN[1, 0] = dN[2, 1] = 1.0
+    dN[1, 1] = dN[2, 0] = 0.0
+    return 3
+
+
+@njit
+def facet_point(x, nodes, N, dN, q, xs, xt):
+    """Position on a secondary facet and its derivatives along the natural coordinates, from `facet_shape`."""
+    q[:] = 0.0
+    xs[:] = 0.0
+    xt[:] = 0.0
+    for a in range(N.shape[0]):
+        for i in range(3):
+            value = x[nodes[a], i]
+            q[i] += N[a] * value
+            xs[i] += dN[a, 0] * value
+            xt[i] += dN[a, 1] * value
+
+
+@njit
+def natural_change(move, xs, xt):
+    """Changes of the natural coordinates of a point that moves by `move` along a facet."""
+    m, w = np.empty(3), np.empty(3)
+    cross(xs, xt, m)
+    mm = m[0] ** 2 + m[1] ** 2 + m[2] ** 2
+    cross(xt, m, w)
+    ds = (w[0] * move[0] + w[1] * move[1] + w[2] * move[2]) / mm
+    cross(m, xs, w)
+    dt = (w[0] * move[0] + w[1] * move[1] + w[2] * move[2]) / mm
+    return ds, dt
+
+
+@njit
+def push(f3, row, nodes, N, nodes2, out):
+    """Add a force f3 at a contact point to the primary facet's nodes, and its reaction to the secondary's."""
+    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
+    n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
     spread(f3, nodes, N, out)
+    for a in range(n2):
+        for i in range(3):
+            out[nodes2[a], i] -= N2[a] * f3[i]
 
 
 @njit

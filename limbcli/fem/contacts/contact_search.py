@@ -1,4 +1,4 @@
-"""Compiled contact search: intersections of the soft facets' normals with a rigid surface.
+"""Compiled contact search: intersections of the primary facets' normals with the secondary surface.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic), applied at each integration point.
 """
@@ -10,6 +10,8 @@ import numpy as np
 from limbcli.fem.contacts.contact_points import (
     FACET,
     GAP,
+    MOST_NODES,
+    NATURAL,
     NORMAL,
     OTHER,
     POINT,
@@ -17,6 +19,8 @@ from limbcli.fem.contacts.contact_points import (
     TRACTION,
     WEIGHT,
     cross,
+    facet_point,
+    facet_shape,
     point_geometry,
 )
 from limbcli.numbers.compiled import njit
@@ -74,33 +78,39 @@ def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
 
 
 @njit
-def _hit_quad(x2, nodes, r, nu, tolerance, out):
-    """Intersect the line with a bilinear facet: first its two triangles, then Newton's method."""
-    if not _hit_triangle(x2, nodes[0], nodes[1], nodes[3], r, nu, tolerance, out) and not _hit_triangle(
-        x2, nodes[2], nodes[3], nodes[1], r, nu, tolerance, out
+def _hit_curved(x2, nodes, r, nu, tolerance, out):
+    """Intersect the line with a bilinear or quadratic facet by Newton's method; of a bilinear one first its two
+    triangles."""
+    quad = is_quad(nodes)
+    if (
+        quad
+        and not _hit_triangle(x2, nodes[0], nodes[1], nodes[3], r, nu, tolerance, out)
+        and not _hit_triangle(x2, nodes[2], nodes[3], nodes[1], r, nu, tolerance, out)
     ):
         return False
     s, t, g = 0.0, 0.0, out[0]
-    xs, xt, m, res = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    N, dN = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
+    q, xs, xt, m, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    if not quad:
+        s = t = 1.0 / 3.0
+        n = facet_shape(nodes, s, t, N, dN)
+        facet_point(x2, nodes, N[:n], dN, q, xs, xt)
+        g = (r[0] - q[0]) * nu[0] + (r[1] - q[1]) * nu[1] + (r[2] - q[2]) * nu[2]
     ok = False
     for _ in range(12):
-        n0, n1 = 0.25 * (1 - s) * (1 - t), 0.25 * (1 + s) * (1 - t)
-        n2, n3 = 0.25 * (1 + s) * (1 + t), 0.25 * (1 - s) * (1 + t)
+        n = facet_shape(nodes, s, t, N, dN)
+        facet_point(x2, nodes, N[:n], dN, q, xs, xt)
         for i in range(3):
-            a, b, c, d = x2[nodes[0], i], x2[nodes[1], i], x2[nodes[2], i], x2[nodes[3], i]
-            xs[i] = 0.25 * ((b - a) * (1 - t) + (c - d) * (1 + t))
-            xt[i] = 0.25 * ((d - a) * (1 - s) + (c - b) * (1 + s))
-            res[i] = n0 * a + n1 * b + n2 * c + n3 * d + g * nu[i] - r[i]
+            q[i] += g * nu[i] - r[i]
         cross(xs, xt, m)
         det = m[0] * nu[0] + m[1] * nu[1] + m[2] * nu[2]
         if det * det < 1e-20 * (m[0] ** 2 + m[1] ** 2 + m[2] ** 2) or det == 0.0:
             return False
-        dg = -(m[0] * res[0] + m[1] * res[1] + m[2] * res[2]) / det
-        w = np.empty(3)
+        dg = -(m[0] * q[0] + m[1] * q[1] + m[2] * q[2]) / det
         cross(xt, nu, w)
-        ds = -(w[0] * res[0] + w[1] * res[1] + w[2] * res[2]) / det
+        ds = -(w[0] * q[0] + w[1] * q[1] + w[2] * q[2]) / det
         cross(nu, xs, w)
-        dt = -(w[0] * res[0] + w[1] * res[1] + w[2] * res[2]) / det
+        dt = -(w[0] * q[0] + w[1] * q[1] + w[2] * q[2]) / det
         s += ds
         t += dt
         g += dg
@@ -109,21 +119,28 @@ def _hit_quad(x2, nodes, r, nu, tolerance, out):
             break
         if abs(s) > 50.0 or abs(t) > 50.0:
             return False
-    if not ok and abs(ds) + abs(dt) > 1e-9:
+    if (not ok and abs(ds) + abs(dt) > 1e-9) or (not quad and det > 0.0):
         return False
-    if abs(s) > 1.0 + tolerance or abs(t) > 1.0 + tolerance:
-        return False
+    for edge in range(4 if quad else 3):
+        if _beyond(edge, quad, s, t) > tolerance:
+            return False
     _write_projection(g, m, r, nu, s, t, xs, xt, out)
     return True
 
 
+@njit(forceinline=True)
+def is_quad(nodes):
+    """Whether a secondary facet is a quadrilateral, rather than a triangle of 3 or 6 nodes."""
+    return nodes[3] >= 0 and (nodes.shape[0] == 4 or nodes[4] < 0)
+
+
 @njit
 def _hit(x2, nodes, rim, r, nu, tolerance, out):
-    """Intersect the line with a triangle or quadrilateral; rim (4) : as in `search`."""
-    quad = nodes[3] >= 0
+    """Intersect the line with a secondary facet; rim (4) : as in `search`."""
+    quad = is_quad(nodes)
     wide = max(tolerance, rim[0], rim[1], rim[2], rim[3])
-    if quad:
-        met = _hit_quad(x2, nodes, r, nu, wide, out)
+    if nodes[3] >= 0:
+        met = _hit_curved(x2, nodes, r, nu, wide, out)
     else:
         met = _hit_triangle(x2, nodes[0], nodes[1], nodes[2], r, nu, wide, out)
     if met and wide > tolerance:  # at edges without a rim the usual tolerance applies
@@ -171,17 +188,17 @@ def _fade(out, quad, rim, row):
 
 @njit
 def search(
-    start, stop, x, facets, N, dN, x2, facets2, rim, spheres, box, radius, tolerance, eps, multiplier, state
+    start, stop, x, facets, N, dN, facets2, rim, spheres, box, radius, tolerance, eps, multiplier, state
 ):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
-    As in FEBio, a point keeps the rigid facet of the last search as long as its normal line hits that
+    As in FEBio, a point keeps the secondary facet of the last search as long as its normal line hits that
     facet. Otherwise the nearest facing facet that the line hits within the search radius is taken.
 
-    rim (n_facets2, 4) : half-width of the fading zone at free edges of the rigid surface, in the facet's
+    rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges
-    spheres (n_facets2, 4) : centre and radius of a bounding sphere of each rigid facet
-    box (2, 3) : bounding box of the rigid surface
+    spheres (n_facets2, 4) : centre and radius of a bounding sphere of each secondary facet
+    box (2, 3) : bounding box of the secondary surface
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     out, best = np.empty(15), np.empty(15)
@@ -203,7 +220,7 @@ def search(
             for i in range(3):
                 nu[i] = n[i] / length
             found = False
-            if hint >= 0 and _hit(x2, facets2[hint], rim[hint], r, nu, tolerance, out):
+            if hint >= 0 and _hit(x, facets2[hint], rim[hint], r, nu, tolerance, out):
                 for i in range(15):
                     best[i] = out[i]
                 found = True
@@ -218,7 +235,7 @@ def search(
                     reach = spheres[j, 3]
                     if d2 - along * along > reach * reach or abs(along) > radius + reach:
                         continue
-                    if not _hit(x2, facets2[j], rim[j], r, nu, tolerance, out):
+                    if not _hit(x, facets2[j], rim[j], r, nu, tolerance, out):
                         continue
                     if abs(out[0]) < radius and (not found or abs(out[0]) < abs(best[0])):
                         for i in range(15):
@@ -228,7 +245,7 @@ def search(
             if not found:
                 continue
             gap = best[0]
-            weight = _fade(best, facets2[nearest, 3] >= 0, rim[nearest], row)
+            weight = _fade(best, is_quad(facets2[nearest]), rim[nearest], row)
             traction = weight * (multiplier[f, k] + eps[f] * gap)
             if gap > radius or traction <= 0.0:
                 continue
@@ -241,4 +258,5 @@ def search(
             row[TRACTION] = traction
             row[FACET] = nearest
             row[WEIGHT] = weight
+            row[NATURAL], row[NATURAL + 1] = best[_NATURAL], best[_NATURAL + 1]
     return count

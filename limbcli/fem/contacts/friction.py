@@ -14,18 +14,17 @@ from typing import Any, ClassVar
 import numpy as np
 
 from limbcli.fem.contacts import friction_kernels
-from limbcli.fem.contacts.contact_points import GAP, TRACTION
+from limbcli.fem.contacts.contact_points import FACET, GAP, MOST_NODES, TRACTION
 from limbcli.fem.contacts.friction_kernels import APART, PUSH, STICKS
 from limbcli.fem.contacts.pairs import Pair
-from limbcli.fem.motion.rigid import AT_REST, BodyState
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
 
 
 @dataclass(eq=False)
 class FrictionPair(Pair):
     """A contact with friction; stores the last converged step.
 
-    was : position of the body at the last converged step
+    past (n_points, 3) : positions of all nodes at the last converged step
     before : per patch, the state of its points at the last converged step (see `friction_kernels`)
     pulls : per patch, the vector multipliers (n_facets, n_gauss, 3) of augmented contact
     """
@@ -33,7 +32,7 @@ class FrictionPair(Pair):
     n_columns: ClassVar[int] = friction_kernels.N_STATE
     kernels: ClassVar[ModuleType] = friction_kernels
 
-    was: BodyState = AT_REST
+    past: Array
     before: list[Array] = field(default_factory=list)
     pulls: list[Array] = field(default_factory=list)
 
@@ -48,22 +47,16 @@ class FrictionPair(Pair):
     def mu(self) -> float:
         return self.contact.friction
 
-    def move(self, at: BodyState) -> Array:
-        """Motion (4, 3) of the body since the converged step: rotation matrix, then translation."""
-        turn = at.turn @ self.was.turn.T
-        center = self.rigid.center
-        return np.concatenate([turn, (center + at.shift - turn @ (center + self.was.shift))[None]])
-
-    def remember(self, x: Array, at: BodyState, hints: Sequence[Array]) -> None:
+    def remember(self, x: Array, hints: Sequence[Array]) -> None:
         """Store a converged step as the reference for the next one."""
-        found, _ = super().search(x, at, hints)
+        found, _ = super().search(x, hints)
         for p, points, before in zip(self.patches, found, self.before, strict=True):
             friction_kernels.remember(x, p.facets, p.N, p.dN, points, before)
-        self.was = at
+        self.past = x
 
-    def forget(self) -> None:
-        super().forget()
-        self.was = AT_REST
+    def forget(self, x: Array) -> None:
+        super().forget(x)
+        self.past = x
         for each in self.before:
             each[..., friction_kernels.HELD] = -1
         for pull in self.pulls:
@@ -98,16 +91,36 @@ class FrictionPair(Pair):
             largest = max(largest, float(apart[touches].max(initial=0.0)))
         return largest
 
-    def search(self, x: Array, at: BodyState, hints: Sequence[Array] = ()) -> tuple[tuple[Array, ...], int]:
-        found, n_touching = super().search(x, at, hints)
+    def search(self, x: Array, hints: Sequence[Array] = ()) -> tuple[tuple[Array, ...], int]:
+        found, n_touching = super().search(x, hints)
         for k, (p, points) in enumerate(zip(self.patches, found, strict=True)):
-            friction_kernels.resist(x, p.facets, p.N, p.dN, p.eps, points, *self._further(k, at))
+            friction_kernels.resist(x, p.facets, p.N, p.dN, p.eps, points, self.facets2, *self._further(k))
         return found, n_touching
 
     def blocks(
-        self, k: int, points: Array, at: BodyState, x: Array, *, full: bool, couples: bool = True
+        self, k: int, points: Array, x: Array, *, full: bool, couples: bool = True
     ) -> tuple[Array, Array]:
-        return self._blocks(k, points, x, full, *self._further(k, at), float(couples))
+        out, arguments = self._room(k), self._arguments(k, points, x, full)
+        return out, self.kernels.blocks(*arguments, out, *self._further(k), float(couples))
 
-    def _further(self, k: int, at: BodyState) -> tuple[Any, ...]:
-        return self.mu, self.before[k], self.move(at), self.pulls[k]
+    def both_blocks(
+        self, k: int, points: Array, x: Array, *, full: bool, couples: bool = True
+    ) -> tuple[IntArray, Array]:
+        """Nodes (n_meetings, n; -1: none) and tangent (n_meetings, n, 3, n, 3) of every two facets that touch,
+        the primary one's first."""
+        facets = self.patches[k].facets
+        touching = points[..., TRACTION] != 0
+        meeting = np.stack([np.nonzero(touching)[0], points[touching][:, FACET].astype(np.int64)])
+        met, number = np.unique(meeting, axis=1, return_inverse=True)
+        which = np.full(touching.shape, -1)
+        which[touching] = number.ravel()
+        nodes = np.full((met.shape[1], facets.shape[1] + MOST_NODES), -1)
+        nodes[:, : facets.shape[1]] = facets[met[0]]
+        nodes[:, facets.shape[1] : facets.shape[1] + self.facets2.shape[1]] = self.facets2[met[1]]
+        out = np.zeros((len(nodes), nodes.shape[1], 3, nodes.shape[1], 3))
+        arguments = self._arguments(k, points, x, full)
+        friction_kernels.both_blocks(*arguments, which, out, *self._further(k), float(couples))
+        return nodes, out
+
+    def _further(self, k: int) -> tuple[Any, ...]:
+        return self.mu, self.before[k], self.past, self.pulls[k]

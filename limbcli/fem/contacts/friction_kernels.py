@@ -1,7 +1,7 @@
-"""Compiled loops of Coulomb friction between a soft surface and a rigid one.
+"""Compiled loops of Coulomb friction.
 
-For every integration point of the soft facets, position, tangents and contact point on the rigid body (the
-anchor, which moves with the body) are stored at the last converged step. With d = r - anchor in the current
+For every integration point of the primary facets, position, tangents and the point of the secondary facet
+that it met (the anchor, which moves with that facet) are stored at the last converged step. With d = r - anchor in the current
 configuration, and the normal pressure p = eps g of frictionless contact:
 
     stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
@@ -10,7 +10,7 @@ configuration, and the normal pressure p = eps g of frictionless contact:
     c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
 
 T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
-converged step of the point, of the material point of the rigid body now opposite to it, and of the tangents.
+converged step of the point, of the secondary side's material point now opposite to it, and of the tangents.
 FEBio uses s = y/|y|, which is discontinuous where a point that has just come into contact reverses; here a
 slip shorter than mu g is resisted by the same penalty as a sticking point. Without multipliers the shear of
 earlier steps is forgotten, in FEBio as here: a step resists only its own motion.
@@ -29,9 +29,8 @@ alone, and lets no point change between stick and slip from the first augmentati
 tight socket did not converge otherwise.
 
 Columns of `state` after those of `contact_points`: stick flag, T, |d| of a sticking point. Columns of
-`before`, from the last converged step: position, tangents g1 and g2, anchor, facet of the anchor (or -1).
-`move` (4, 3): rotation matrix and translation of the body since then: current position = move[:3] position +
-move[3].
+`before`, from the last converged step: position, tangents g1 and g2, natural coordinates of the anchor, its
+facet (or -1). `past` (n_points, 3): positions of all nodes then.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic with friction): Zimmerman & Ateshian 2018,
 J Biomech Eng 140:081013.
@@ -44,23 +43,29 @@ import numpy as np
 from limbcli.fem.contacts.contact_points import (
     FACET,
     GAP,
+    MOST_NODES,
+    NATURAL,
     NORMAL,
     OTHER,
     POINT,
     TRACTION,
     cross,
+    facet_point,
+    facet_shape,
+    natural_change,
     normal_change,
     point_change,
     point_geometry,
     push,
+    spread,
 )
 from limbcli.fem.contacts.contact_points import N_STATE as N_NORMAL
 from limbcli.numbers.compiled import njit
 
 STICKS, PUSH, APART = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4
 N_STATE = N_NORMAL + 5
-PLACE, TANGENTS, ANCHOR, HELD = 0, 3, 9, 12
-N_BEFORE = 13
+PLACE, TANGENTS, ANCHOR, HELD = 0, 3, 9, 11
+N_BEFORE = 12
 
 
 @njit
@@ -75,28 +80,29 @@ def remember(x, facets, N, dN, state, before):
                 row[PLACE + i] = r[i]
                 row[TANGENTS + i] = g1[i]
                 row[TANGENTS + 3 + i] = g2[i]
-                row[ANCHOR + i] = state[f, k, POINT + i]
+            row[ANCHOR], row[ANCHOR + 1] = state[f, k, NATURAL], state[f, k, NATURAL + 1]
             row[HELD] = state[f, k, FACET]
 
 
 @njit
-def _slip(row, before, move, pull, eps, r, g1, g2, n, y, c, m):
+def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m):
     """Set y, c and m (see the module docstring) of a point in contact; returns |n|."""
     size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-    old, w = np.empty(3), np.empty(3)
+    old, now, w = np.empty(3), np.empty(3), np.empty(3)
+    N2, dN2, xs, xt = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty(3), np.empty(3)
+    n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
+    facet_point(past, nodes2, N2[:n2], dN2, old, xs, xt)
+    facet_point(x, nodes2, N2[:n2], dN2, now, xs, xt)
     cross(before[TANGENTS : TANGENTS + 3], g2, m)
     cross(g1, before[TANGENTS + 3 : TANGENTS + 6], w)
     along = 0.0
     for i in range(3):
         m[i] = 2.0 * n[i] - m[i] - w[i]
         along += n[i] * m[i] / size
-        old[i] = 0.0
-        for j in range(3):  # previous position of the body's material point at q
-            old[i] += move[j, i] * (row[POINT + j] - move[3, j])
     total = 0.0
     for i in range(3):
         c[i] = (m[i] - along * n[i] / size) / size
-        y[i] = r[i] - before[PLACE + i] - (row[POINT + i] - old[i]) - row[GAP] * c[i] + pull[i] / eps
+        y[i] = r[i] - before[PLACE + i] - (now[i] - old[i]) - row[GAP] * c[i] + pull[i] / eps
         total += y[i] * n[i] / size
     for i in range(3):
         y[i] -= total * n[i] / size
@@ -104,13 +110,14 @@ def _slip(row, before, move, pull, eps, r, g1, g2, n, y, c, m):
 
 
 @njit
-def resist(x, facets, N, dN, eps, state, mu, before, move, pull):
+def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
     """Determine stick or slip and the traction T of every touching point; returns how many stick.
 
     pull (n_facets, n_gauss, 3) : multipliers of T
     """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    N2, dN2, xs, xt = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty(3), np.empty(3)
     sticking = 0
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
@@ -122,10 +129,10 @@ def resist(x, facets, N, dN, eps, state, mu, before, move, pull):
             size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
             if before[f, k, HELD] >= 0.0:
                 normal, shear, apart = 0.0, 0.0, 0.0
+                nodes2 = facets2[int(before[f, k, HELD])]
+                n2 = facet_shape(nodes2, before[f, k, ANCHOR], before[f, k, ANCHOR + 1], N2, dN2)
+                facet_point(x, nodes2, N2[:n2], dN2, anchor, xs, xt)
                 for i in range(3):
-                    anchor[i] = move[3, i]
-                    for j in range(3):
-                        anchor[i] += move[i, j] * before[f, k, ANCHOR + j]
                     thrust[i] = pull[f, k, i] + eps[f] * (r[i] - anchor[i])
                     normal += thrust[i] * n[i] / size
                     apart += (r[i] - anchor[i]) ** 2
@@ -136,12 +143,28 @@ def resist(x, facets, N, dN, eps, state, mu, before, move, pull):
                     row[TRACTION] = normal
                     row[APART] = np.sqrt(apart)
                     row[FACET] = before[f, k, HELD]
+                    row[NATURAL], row[NATURAL + 1] = before[f, k, ANCHOR], before[f, k, ANCHOR + 1]
                     for i in range(3):
                         row[PUSH + i] = thrust[i]
                         row[POINT + i] = anchor[i]
                     sticking += 1
                     continue
-            _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
+            _slip(
+                row,
+                before[f, k],
+                x,
+                past,
+                facets2[int(row[FACET])],
+                pull[f, k],
+                eps[f],
+                r,
+                g1,
+                g2,
+                n,
+                y,
+                c,
+                m,
+            )
             length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
             drag = min(mu * row[TRACTION] / length, eps[f]) if length > 0.0 else 0.0
             for i in range(3):
@@ -150,8 +173,8 @@ def resist(x, facets, N, dN, eps, state, mu, before, move, pull):
 
 
 @njit
-def force(facets, N, weights, state, center, out, body):
-    """out (n_points, 3) += contact part of the residual; body (6) += force and moment on the rigid body."""
+def force(facets, N, weights, state, facets2, out):
+    """out (n_points, 3) += contact part of the residual, of the nodes on both sides."""
     f3 = np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
@@ -161,43 +184,45 @@ def force(facets, N, weights, state, center, out, body):
             size = np.sqrt(row[NORMAL] ** 2 + row[NORMAL + 1] ** 2 + row[NORMAL + 2] ** 2)
             for i in range(3):
                 f3[i] = weights[k] * size * row[PUSH + i]
-            push(f3, row, center, facets[f], N[k], out, body)
+            push(f3, row, facets[f], N[k], facets2[int(row[FACET])], out)
 
 
 @njit
 def _change(
-    row, before, move, pull, eps, mu, yields, couples, center, r, g1, g2, n, y, c, m, dr, d1, d2, motion, df,
-    darm,
-):  # fmt: skip
-    """Change of |n| T, and of the lever arm from the body's centre, for changes of the point and the body.
+    row, before, x, past, nodes2, pull, eps, mu, yields, couples, r, g1, g2, n, y, c, m, dr, d1, d2, slip, df
+):
+    """Change df of |n| T, for changes of the point and the motion `slip` of the secondary side's material
+    point; returns the changes of the contact point's natural coordinates.
 
     y, c, m : from `_slip`, used if the point slips
     yields : 1 for the exact derivative; 0 for stiffness mu p/|y| along a slip as well as across it
     couples : 1 for the exact derivative; 0 for shear of a slip that does not follow the pressure
     """
-    dn, dnu, w, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    dn, dnu, w = np.empty(3), np.empty(3), np.empty(3)
     size = normal_change(g1, g2, n, d1, d2, dn, dnu)
     dsize = 0.0
     for i in range(3):
         dsize += n[i] * dn[i] / size
-        v[i] = row[POINT + i] - center[i]
-    cross(motion[3:6], v, w)  # due to the body's rotation
     if row[STICKS] > 0.0:
         for i in range(3):
-            df[i] = size * eps * (dr[i] - motion[i] - w[i]) + dsize * row[PUSH + i]
-            darm[i] = w[i]
-        return
-    nu, dq, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+            df[i] = size * eps * (dr[i] - slip[i]) + dsize * row[PUSH + i]
+        return 0.0, 0.0
+    nu, move, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     top, bottom = 0.0, 0.0
     for i in range(3):
         nu[i] = n[i] / size
-        top += row[OTHER + i] * (dr[i] - row[GAP] * dnu[i] - w[i] - motion[i])
+        top += row[OTHER + i] * (dr[i] - row[GAP] * dnu[i] - slip[i])
         bottom += row[OTHER + i] * nu[i]
     dg = top / bottom
     for i in range(3):
-        dq[i] = dr[i] - dg * nu[i] - row[GAP] * dnu[i]
-        darm[i] = dq[i] - motion[i]
-        v[i] = darm[i] - w[i]  # motion of the contact point relative to the body
+        move[i] = dr[i] - dg * nu[i] - row[GAP] * dnu[i] - slip[i]  # of the contact point along the facet
+    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
+    n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
+    q, xs, xt = np.empty(3), np.empty(3), np.empty(3)
+    old, olds, oldt = np.empty(3), np.empty(3), np.empty(3)
+    facet_point(x, nodes2, N2[:n2], dN2, q, xs, xt)
+    facet_point(past, nodes2, N2[:n2], dN2, old, olds, oldt)
+    ds, dt = natural_change(move, xs, xt)
     length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
     p, dp = row[TRACTION], eps * dg
     if length > 0.0:
@@ -215,14 +240,8 @@ def _change(
         # y = (1 - nu nu) z; the change of the projection needs z's normal component, recomputed here
         znu, zdnu, dz_nu = 0.0, 0.0, 0.0
         for i in range(3):
-            back = 0.0
-            for j in range(3):
-                back += move[j, i] * v[j]
-            dy[i] = dr[i] - dq[i] + back - dg * c[i] - row[GAP] * dc[i]
-            old = 0.0
-            for j in range(3):
-                old += move[j, i] * (row[POINT + j] - move[3, j])
-            z = r[i] - before[PLACE + i] - row[POINT + i] + old - row[GAP] * c[i] + pull[i] / eps
+            dy[i] = dr[i] - slip[i] - move[i] + olds[i] * ds + oldt[i] * dt - dg * c[i] - row[GAP] * dc[i]
+            z = r[i] - before[PLACE + i] - q[i] + old[i] - row[GAP] * c[i] + pull[i] / eps
             znu += z * nu[i]
             zdnu += z * dnu[i]
             dz_nu += dy[i] * nu[i]
@@ -238,67 +257,105 @@ def _change(
         if full:
             shear = mu * (couples * dp * y[i] + p * (dy[i] - yields * along * y[i] / length)) / length
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
+    return ds, dt
 
 
 @njit
-def times(
-    x, facets, N, dN, weights, eps, state, yields, center, v, motion, out, body, mu, before, move, pull
-):
-    """Derivative of `force` along v (n_points, 3) and the body's motion (6), at fixed stick-slip status."""
+def times(x, facets, N, dN, weights, eps, state, yields, facets2, v, out, mu, before, past, pull):
+    """Derivative of `force` along v (n_points, 3), of the nodes on both sides, at fixed stick-slip status."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    y, c, m, f3, w = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    dr, d1, d2, df = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    y, c, m, slip, vs, vt = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row = state[f, k]
             if row[TRACTION] == 0.0:
                 continue
+            nodes2 = facets2[int(row[FACET])]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            size = _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
+            size = _slip(row, before[f, k], x, past, nodes2, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
             point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
-            _change(
-                row, before[f, k], move, pull[f, k], eps[f], mu, yields, 1.0, center, r, g1, g2, n, y, c, m,
-                dr, d1, d2, motion, df, darm,
+            n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
+            facet_point(v, nodes2, N2[:n2], dN2, slip, vs, vt)
+            ds, dt = _change(
+                row, before[f, k], x, past, nodes2, pull[f, k], eps[f], mu, yields, 1.0, r, g1, g2, n, y, c,
+                m, dr, d1, d2, slip, df,
             )  # fmt: skip
             for i in range(3):
                 df[i] *= weights[k]
-                f3[i] = weights[k] * size * row[PUSH + i]
-            push(df, row, center, facets[f], N[k], out, body)
-            cross(darm, f3, w)
-            for i in range(3):
-                body[3 + i] += w[i]
+            spread(df, facets[f], N[k], out)
+            for a in range(n2):
+                change = weights[k] * size * (dN2[a, 0] * ds + dN2[a, 1] * dt)
+                for i in range(3):
+                    out[nodes2[a], i] -= N2[a] * df[i] + change * row[PUSH + i]
 
 
 @njit
-def blocks(x, facets, N, dN, weights, eps, state, yields, out, mu, before, move, pull, couples):
-    """Tangent of each touching soft facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
-    nodes = facets.shape[1]
-    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    y, c, m = np.empty(3), np.empty(3), np.empty(3)
-    dr, d1, d2, df, darm = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    still, center = np.zeros(6), np.zeros(3)  # of the body, which does not move
+def blocks(x, facets, N, dN, weights, eps, state, yields, facets2, out, mu, before, past, pull, couples):
+    """Tangent of each touching primary facet alone, out (n_facets, n, 3, n, 3); returns which facets touch."""
     touched = np.zeros(facets.shape[0], dtype=np.bool_)
     for f in range(facets.shape[0]):
-        K = out[f]
-        K[:] = 0.0
+        out[f] = 0.0
         for k in range(N.shape[0]):
-            row = state[f, k]
-            if row[TRACTION] == 0.0:
-                continue
-            touched[f] = True
-            point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            _slip(row, before[f, k], move, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
-            for b in range(nodes):
-                for j in range(3):
-                    dr[:] = 0.0
-                    d1[:] = 0.0
-                    d2[:] = 0.0
-                    dr[j], d1[j], d2[j] = N[k, b], dN[k, b, 0], dN[k, b, 1]
-                    _change(
-                        row, before[f, k], move, pull[f, k], eps[f], mu, yields, couples, center, r, g1, g2,
-                        n, y, c, m, dr, d1, d2, still, df, darm,
-                    )  # fmt: skip
-                    for a in range(nodes):
-                        for i in range(3):
-                            K[a, i, b, j] += weights[k] * N[k, a] * df[i]
+            if state[f, k, TRACTION] != 0.0:
+                touched[f] = True
+                _add_block(
+                    x, facets[f], N[k], dN[k], weights[k], eps[f], state[f, k], yields, facets2, out[f], mu,
+                    before[f, k], past, pull[f, k], couples, 0,
+                )  # fmt: skip
     return touched
+
+
+@njit
+def both_blocks(
+    x, facets, N, dN, weights, eps, state, yields, facets2, which, out, mu, before, past, pull, couples
+):
+    """Tangent of the nodes on both sides, out (n_meetings, n, 3, n, 3): those of the primary facet, then of
+    the secondary one.
+
+    which (n_facets, n_gauss) : the meeting of two facets to which a touching point belongs
+    """
+    for f in range(facets.shape[0]):
+        for k in range(N.shape[0]):
+            if state[f, k, TRACTION] != 0.0:
+                _add_block(
+                    x, facets[f], N[k], dN[k], weights[k], eps[f], state[f, k], yields, facets2,
+                    out[which[f, k]], mu, before[f, k], past, pull[f, k], couples, MOST_NODES,
+                )  # fmt: skip
+
+
+@njit
+def _add_block(
+    x, nodes, N, dN, weight, eps, row, yields, facets2, K, mu, before, past, pull, couples, most
+):  # fmt: skip
+    """K (n, 3, n, 3) += tangent of one point; `most` : of secondary nodes that are in K."""
+    r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    y, c, m, slip = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    dr, d1, d2, df = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
+    nodes2 = facets2[int(row[FACET])]
+    n1 = nodes.shape[0]
+    n2 = min(facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2), most)
+    point_geometry(x, nodes, N, dN, r, g1, g2, n)
+    size = _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m)
+    for b in range(n1 + n2):
+        for j in range(3):
+            dr[:] = 0.0
+            d1[:] = 0.0
+            d2[:] = 0.0
+            slip[:] = 0.0
+            if b < n1:
+                dr[j], d1[j], d2[j] = N[b], dN[b, 0], dN[b, 1]
+            else:
+                slip[j] = N2[b - n1]
+            ds, dt = _change(
+                row, before, x, past, nodes2, pull, eps, mu, yields, couples, r, g1, g2, n, y, c, m, dr, d1,
+                d2, slip, df,
+            )  # fmt: skip
+            for i in range(3):
+                for a in range(n1):
+                    K[a, i, b, j] += weight * N[a] * df[i]
+                for a in range(n2):
+                    change = size * (dN2[a, 0] * ds + dN2[a, 1] * dt) * row[PUSH + i]
+                    K[n1 + a, i, b, j] -= weight * (N2[a] * df[i] + change)

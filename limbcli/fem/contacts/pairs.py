@@ -1,4 +1,4 @@
-"""A soft surface against a rigid one: FEBio's frictionless `sliding-elastic` law.
+"""Contact of two surfaces, the primary one soft: FEBio's frictionless `sliding-elastic` law.
 
 The compiled loops, and the law itself, are in `contact_kernels`.
 """
@@ -20,23 +20,23 @@ from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.contacts.penalty import penalties
 from limbcli.fem.elements.assembly import Threads
 from limbcli.fem.elements.groups import Group
-from limbcli.fem.motion.rigid import Body, BodyState
 from limbcli.materials.program import CurveAt
 from limbcli.model import Array, IntArray
 from limbcli.model.bodies import Contact
 
 _MOST_AUGMENTATIONS = 10  # FEBio's default of `maxaug`
 # Half-width of the fading zone at a rim, as a fraction of the soft facets' size, and its upper limit as a
-# fraction of the rigid facet's size.
+# fraction of the secondary facet's size.
 _FADE, _MOST_FADE = 0.03, 0.2
 
 
 @dataclass(eq=False)
 class Pair:
-    """One contact of the model: soft patches against the facets of a body.
+    """One contact of the model: soft patches, the primary side, against the facets of the secondary side.
 
-    body, rigid : the body on the rigid side, its number and itself
-    rim (n_facets2, 4) : half-widths of the fading zones at the free edges of the rigid surface (`rim_widths`)
+    facets2 (n_facets2, 4 or 6) : see `contact_points`
+    rim (n_facets2, 4) : half-widths of the fading zones at the free edges of that surface (`rim_widths`)
+    body : number of the rigid body that the secondary side is part of; None: it is soft
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     looseness : value of the load curve of the gap's tolerance
     """
@@ -45,20 +45,19 @@ class Pair:
     kernels: ClassVar[ModuleType] = kernels
 
     contact: Contact
-    body: int
-    rigid: Body
     facets2: IntArray
     patches: list[Patch]
     rim: Array
+    body: int | None
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
     looseness: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
-    def search(self, x: Array, at: BodyState, hints: Sequence[Array] = ()) -> tuple[tuple[Array, ...], int]:
-        """Search contact at positions x (n_points, 3) with the body at `at`.
+    def search(self, x: Array, hints: Sequence[Array] = ()) -> tuple[tuple[Array, ...], int]:
+        """Search contact at positions x (n_points, 3) of all nodes.
 
-        hints : the rigid facet (-1: none) with which the search begins at each point of each patch
+        hints : the secondary facet (-1: none) with which the search begins at each point of each patch
 
         Returns the state of the points of each patch, and how many touch.
         """
@@ -77,56 +76,51 @@ class Pair:
     ) -> int:
         c = self.contact
         found = search(
-            begin, end, x, p.facets, p.N, p.dN, x, self.facets2, self.rim, spheres, box,
+            begin, end, x, p.facets, p.N, p.dN, self.facets2, self.rim, spheres, box,
             c.search_radius, c.search_tolerance, p.eps, p.multiplier, points,
         )  # fmt: skip
         return int(found)
 
-    def force(self, found: Sequence[Array], at: BodyState, out: Array, body: Array) -> None:
-        """out (n_points, 3), body (6) += contact part of the residual, force and moment on the body.
+    def force(self, found: Sequence[Array], out: Array) -> None:
+        """out (n_points, 3) += contact part of the residual, of the nodes on both sides.
 
-        found : state of the points of each patch, as of `search` with the body at `at`
+        found : state of the points of each patch, as of `search`
         """
-        center = self.rigid.center + at.shift
         for p, points in zip(self.patches, found, strict=True):
-            self.kernels.force(p.facets, p.N, p.weights, points, center, out, body)
+            self.kernels.force(p.facets, p.N, p.weights, points, self.facets2, out)
 
-    def times(
-        self, found: Sequence[Array], at: BodyState, x: Array, v: Array, motion: Array, out: Array,
-        body: Array, *, full: bool,
-    ) -> None:  # fmt: skip
-        """Derivative of `force` along v (n_points, 3) and the body's motion (6).
+    def times(self, found: Sequence[Array], x: Array, v: Array, out: Array, *, full: bool) -> None:
+        """Derivative of `force` along v (n_points, 3), of the nodes on both sides.
 
         full : exact (see `ContactState.full_tangent`)
         """
-        center = self.rigid.center + at.shift
-        for k, (p, points) in enumerate(zip(self.patches, found, strict=True)):
-            self.kernels.times(
-                x, p.facets, p.N, p.dN, p.weights, p.eps, points, float(full), center, v, motion, out, body,
-                *self._further(k, at),
-            )  # fmt: skip
+        for k, points in enumerate(found):
+            self.kernels.times(*self._arguments(k, points, x, full), v, out, *self._further(k))
 
     def blocks(
-        self, k: int, points: Array, at: BodyState, x: Array, *, full: bool, couples: bool = True
+        self, k: int, points: Array, x: Array, *, full: bool, couples: bool = True
     ) -> tuple[Array, Array]:
-        """Tangent of the facets of patch k (n_facets, n, 3, n, 3), and which facets touch.
+        """Tangent of the facets of patch k alone (n_facets, n, 3, n, 3), and which facets touch.
 
         couples : False leaves out that the shear of a slip follows the pressure
         """
-        return self._blocks(k, points, x, full)
+        out = self._room(k)
+        arguments = self._arguments(k, points, x, full)[:-1]
+        return out, self.kernels.blocks(*arguments, out)
 
-    def _blocks(self, k: int, points: Array, x: Array, full: bool, *further: Any) -> tuple[Array, Array]:
+    def _room(self, k: int) -> Array:
+        n_facets, n = self.patches[k].facets.shape
+        return np.empty((n_facets, n, 3, n, 3))
+
+    def _arguments(self, k: int, points: Array, x: Array, full: bool) -> tuple[Any, ...]:
         p = self.patches[k]
-        n = p.facets.shape[1]
-        out = np.empty((len(p.facets), n, 3, n, 3))
-        arguments = x, p.facets, p.N, p.dN, p.weights, p.eps, points, float(full), out
-        return out, self.kernels.blocks(*arguments, *further)
+        return x, p.facets, p.N, p.dN, p.weights, p.eps, points, float(full), self.facets2
 
-    def _further(self, k: int, at: BodyState) -> tuple[Any, ...]:
+    def _further(self, k: int) -> tuple[Any, ...]:
         """Further arguments of the kernels for patch k."""
         return ()
 
-    def remember(self, x: Array, at: BodyState, hints: Sequence[Array]) -> None:
+    def remember(self, x: Array, hints: Sequence[Array]) -> None:
         """Store a converged step; nothing to store without friction."""
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
@@ -139,8 +133,8 @@ class Pair:
         for p, full in zip(self.patches, self.full_eps, strict=False):
             p.eps = factor * full
 
-    def forget(self) -> None:
-        """Reset to the unloaded state: no contact, multipliers zero."""
+    def forget(self, x: Array) -> None:
+        """Reset to the unloaded state at positions x (n_points, 3): no contact, multipliers zero."""
         for p in self.patches:
             p.multiplier[:] = 0.0
 
@@ -193,12 +187,16 @@ def _count(contact: Contact, name: str, default: int) -> int:
 
 
 def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Array:
-    """Half-widths (n, 4) of the fading zones at free edges, those that belong to a single rigid facet.
+    """Half-widths (n, 4) of the fading zones at free edges, those that belong to a single secondary facet.
 
     In the facet's natural coordinates; 0 at other edges. Edge k goes from node k to the next node.
 
-    facets2 (n, 4) : nodes; the last is -1 in a triangle
+    facets2 (n, 4 or 6) : see `contact_points`
     """
+    curved = facets2[:, 3] >= 0 if facets2.shape[1] > 4 else np.zeros(len(facets2), dtype=bool)
+    curved &= facets2[:, -1] >= 0
+    facets2 = facets2[:, :4].copy()
+    facets2[curved, 3] = -1
     following = np.roll(facets2, -1, axis=1)
     triangles = facets2[:, 3] < 0
     following[triangles, 2] = facets2[triangles, 0]

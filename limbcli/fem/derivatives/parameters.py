@@ -141,12 +141,10 @@ def _law(system: System, contact: ContactState, parameter: LawParameter) -> tupl
                 )
                 if not deps.any():
                     continue
-                on_body = np.zeros(6)
                 contact_kernels.scaled_force(
-                    patch.facets, patch.N, patch.weights, points, deps,
-                    system.center(pair.body, state), nodal, on_body,
-                )  # fmt: skip
-                bodies[pair.body] -= on_body
+                    patch.facets, patch.N, patch.weights, points, deps, pair.facets2, nodal
+                )
+    system.gather_touched(state, nodal, bodies)
     system.gather_tied(state, nodal, bodies)
     return nodal, bodies
 

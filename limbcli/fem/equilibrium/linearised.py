@@ -9,6 +9,7 @@ factor is kept up to date.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -18,6 +19,7 @@ from limbcli.fem.equilibrium.free_motion import check_held
 from limbcli.fem.equilibrium.settings import Counts, Settings
 from limbcli.fem.equilibrium.tangent import Inverse, Tangent, assemble
 from limbcli.fem.linear_solvers import direct as linear_solvers
+from limbcli.fem.linear_solvers.growing import Growing
 from limbcli.fem.linear_solvers.krylov import gmres
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.fem.motion.state import Forces, State, norm
@@ -61,20 +63,7 @@ class Linearised:
         self.rate = _FRESH
         self.stuck = False
         self.drag = 0.0
-        single = settings.single if settings.single is not None else system.n_tissue > _LARGE
-        pattern = system.pattern
-        self.linear: Any = (
-            linear_solvers.make(
-                pattern.indptr,
-                pattern.indices,
-                kind=settings.linear,
-                threads=settings.threads,
-                single=single,
-                last=system.within_reach(),
-            )
-            if system.n_tissue
-            else None
-        )
+        self.linear: Any = _solver(system, settings) if system.n_tissue else None
 
     def forget(self) -> None:
         """Discard tangent, factor and cost estimates."""
@@ -244,3 +233,17 @@ class Linearised:
     def close(self) -> None:
         if self.linear is not None:
             self.linear.close()
+
+
+def _solver(system: System, settings: Settings) -> Any:
+    pattern, single = system.pattern, settings.single
+    make = partial(
+        linear_solvers.make,
+        kind=settings.linear,
+        threads=settings.threads,
+        single=single if single is not None else system.n_tissue > _LARGE,
+        last=system.within_reach(),
+    )
+    if system.has_couplings:
+        return Growing(pattern.indptr, pattern.indices, make)
+    return make(pattern.indptr, pattern.indices)

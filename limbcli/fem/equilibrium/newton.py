@@ -272,7 +272,7 @@ class Newton:
         """Indentation depth (mm) of the first contact's body, or else of the first body; None unless that is
         moved along z."""
         system = self.system
-        b = system.pairs[0].body if system.pairs else 0
+        b = system.first_touched
         drive = system.bodies[b].drives.get("z") if system.bodies else None
         if drive is None or drive.kind != "displacement":
             return None
@@ -286,7 +286,7 @@ class Newton:
             return f"depth {depth:.2f} mm"
         if not self.system.bodies:
             return ""
-        b = self.system.pairs[0].body if self.system.pairs else 0
+        b = self.system.first_touched
         size = float(np.linalg.norm(self.system.applied(state.time)[b, :3]))
         return f"force {size:.4g} N" if size else ""
 

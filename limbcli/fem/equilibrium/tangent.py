@@ -18,7 +18,6 @@ from limbcli.errors import SolveError
 from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.elements.assembly import total
 from limbcli.fem.equilibrium.stress_jumps import Jumps, find_jumps
-from limbcli.fem.linear_solvers.direct import LinearSolver
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
@@ -160,15 +159,17 @@ class Inverse:
     direct solver has a root front.
     """
 
-    def __init__(self, tangent: Tangent, contact: ContactState, linear: LinearSolver):
+    def __init__(self, tangent: Tangent, contact: ContactState, linear: Any):
         self.linear, self.tangent = linear, tangent
         self.rooted: Any = linear  # the same object, accessed through its root-front interface
         system = tangent.system
         self.n = system.n_tissue
+        if self.n:
+            values = system.add_contact(contact, tangent.upper(), couples=False)
+            further = [system.couplings(contact, couples=False)] if system.has_couplings else []
+            linear.factor(values, *further)
         root = getattr(linear, "root", None)
         self.n_root = 0 if root is None or not system.pairs else len(root)
-        if self.n:
-            linear.factor(system.add_contact(contact, tangent.upper(), couples=False))
         if self.n_root:
             rows = np.full(self.n + 1, -1, dtype=np.int64)
             rows[root] = np.arange(self.n_root)
