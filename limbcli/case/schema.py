@@ -454,6 +454,7 @@ LINER = {
     "youngs_modulus_kpa": Key("kPa", number(5.0, 100_000.0, "kPa"), required=True),
     "poisson": Key("1", number(0.0, 0.495, ""), default=0.45),
     "bonded": Key("true | false", truth, default=True),
+    "friction": Key("1", number(0.0, 2.0, "")),
 }
 TOP = {
     "format": Key("1", format_one),

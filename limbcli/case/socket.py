@@ -31,11 +31,15 @@ _LEAST_APART_N = 0.1  # loads that differ by less would share a name in tables a
 
 @dataclass(frozen=True)
 class LinerInput:
-    """thickness : mm; youngs_modulus : MPa; poisson : its ratio at rest"""
+    """thickness : mm; youngs_modulus : MPa; poisson : its ratio at rest
+    bonded : to the skin; else it slides on it, with `friction` (None: the socket's)
+    """
 
     thickness: float
     youngs_modulus: float
     poisson: float
+    bonded: bool = True
+    friction: float | None = None
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ class SocketInput:
     rectifications : by patch, mm; positive: into the limb; `all_mm` of the whole skin
     transition : mm; brim : height (mm) of its upper end above the limb's distal end; None: chosen
     flare : mm outward at that end
-    liner : bonded to the skin, or None
+    liner : on the skin, or None
     friction, friction_deviation : coefficient and its standard deviation
     tilt_deviation, shift_deviation : standard deviations of the socket's place on the limb, deg and mm, about
         and along each of the two directions across the limb
@@ -179,18 +183,17 @@ def _liner(table: object, file: str) -> tuple[LinerInput | None, list[Problem]]:
     if table is None:
         return None, []
     values, problems = schema.check_table(table, schema.LINER, name="socket.liner", file=file)
-    if not errors_of(problems) and not values["bonded"]:
-        what = (
-            "[socket.liner] has bonded = false: a liner that slides on the skin is not modelled, because the "
-            "contact needs a rigid surface on one side"
-        )
-        problems.append(Problem(what, file, "leave `bonded` out: the liner is then bonded to the skin"))
+    if not errors_of(problems) and values["bonded"] and values["friction"] is not None:
+        what = "[socket.liner] has a friction on the skin, to which the liner is bonded"
+        problems.append(Problem(what, file, "add `bonded = false`, or remove friction"))
     if errors_of(problems):
         return None, problems
     return LinerInput(
         thickness=float(values["thickness_mm"]),
         youngs_modulus=mpa_from_kpa(float(values["youngs_modulus_kpa"])),
         poisson=float(values["poisson"]),
+        bonded=values["bonded"],
+        friction=None if values["friction"] is None else float(values["friction"]),
     ), problems
 
 

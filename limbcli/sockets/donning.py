@@ -24,6 +24,7 @@ from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, M
 from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.progress import SILENT, Progress
 from limbcli.sockets.knee import KneeLoad
+from limbcli.sockets.liner import LINER_INSIDE
 from limbcli.solvers.reference import prepare
 
 if TYPE_CHECKING:
@@ -45,6 +46,10 @@ _MOST_REFORMATIONS = 25
 _ANY_ITERATIONS = _MOST_REFORMATIONS * (_MOST_AUGMENTATIONS + 1)
 _SAME_TIME = 1e-9
 _CELL_FIELDS = ("E1", "sed")
+_SKIN = "skin"
+LEAST_MPA = (
+    1e-4  # pressure under a liner that slides from which skin counts as loaded: ten times its tightness
+)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,7 +64,9 @@ class DonningOptions:
     penetration_mm : augmented Lagrangian contact, until the skin lies at most this far behind the wall;
         None: penalty alone
     search_radius_mm : the contact sees the socket within this distance: more than the interference
-    skin : the limb's surface that meets the socket
+    skin : the limb's surface that meets the socket: "skin", or the liner's
+    liner_slides : the liner slides on the surface "skin"; pressure and shear are then those on the skin
+    liner_friction : between skin and a liner that slides; None: as `friction`
     slip_as_febio : the reference solver loses friction with every time step as FEBio does, to compare the two
     knee : shear and moment at the knee centre, full from the first load on: the socket is then free to move
         and turn, but not to turn about the axis
@@ -75,6 +82,8 @@ class DonningOptions:
     penetration_mm: float | None = None
     search_radius_mm: float = 30.0
     skin: str = "skin"
+    liner_slides: bool = False
+    liner_friction: float | None = None
     slip_as_febio: bool = False
     knee: KneeLoad | None = None
 
@@ -84,9 +93,10 @@ class SocketState:
     """The limb after donning (`load_n` 0) or under a load.
 
     pressure_mpa, shear_mpa (n_skin,) : at the skin's nodes, per current area; shear is the size of the mean
-        tangential traction
+        tangential traction. With a liner that slides also at its outside, between liner and socket
     facet_pressure_mpa, facet_shear_mpa, facet_area_mm2 (n_facets,) : means over each facet, and its current
-        area where it is in contact (else that at rest), in the surface's order
+        area where it is in contact (else that at rest), in the surface's order; of a bonded liner those
+        outside, of one that slides those of the skin, 0 where it presses less than `LEAST_MPA`
     displacements (n_points, 3) : mm, of all nodes of `socket_model`
     strain, energy_density (n_cells,) : largest principal Green-Lagrange strain, and MPa
     socket_force_n (3,), socket_moment_n_mm (3,) : on the socket from outside, about its centre
@@ -195,11 +205,20 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
         gap_tolerance_curve=_CLOSING if options.penetration_mm else None,
         more={"maxaug": f"{_MOST_AUGMENTATIONS}"} if options.penetration_mm else {},
     )
+    contacts = (contact,)
+    if options.liner_slides:
+        friction = options.friction if options.liner_friction is None else options.liner_friction
+        contacts += (
+            replace(
+                contact, primary=_SKIN, secondary=LINER_INSIDE, name="liner_contact", friction=friction,
+                penalty_curve=None,
+            ),
+        )  # fmt: skip
     return replace(
         limb,
         mesh=mesh,
         bodies=(*limb.bodies, RigidBody(SOCKET, (centre[0], centre[1], centre[2]), (SOCKET,))),
-        contacts=(contact,),
+        contacts=contacts,
         curves={**limb.curves, **_curves(options)},
         steps=_steps(options, centre),
     )
@@ -242,7 +261,7 @@ def don_and_load(
         if not snapshot.must:
             return
         states.append(_state(running, snapshot, next(loads)))
-        if options.loads_n and not states[0].facet_pressure_mpa.any():
+        if options.loads_n and not states[1:] and not balance[-1].contact_n:
             raise MeshError(
                 "the donned socket touches the skin nowhere: a load along the limb has nothing to act on",
                 where="socket",
@@ -258,7 +277,7 @@ def don_and_load(
         raise _explained(error, len(states), options) from error
     finally:
         analysis.close()
-    return DonningResult(analysis.model, _skin_nodes(model, options.skin), tuple(states), tuple(balance))
+    return DonningResult(analysis.model, _skin_nodes(model), tuple(states), tuple(balance))
 
 
 # ---------------------------------------------------------------- model
@@ -270,7 +289,13 @@ def _check(limb: LimbModel, options: DonningOptions) -> None:
         wrong, fix = f"the limb has no surface {options.skin!r}", f"use one of {sorted(limb.mesh.surfaces)}"
     elif limb.contacts or any(body.name == SOCKET for body in limb.bodies):
         wrong, fix = "the limb's model already holds a contact or a socket", "give the limb alone"
-    elif options.friction < 0 or options.penalty <= 0 or options.search_radius_mm <= 0:
+    elif options.liner_slides and LINER_INSIDE not in limb.mesh.surfaces:
+        wrong, fix = "the limb has no liner that slides", "make it with `with_liner`, not bonded"
+    elif (
+        min(options.friction, options.liner_friction or 0.0) < 0
+        or options.penalty <= 0
+        or options.search_radius_mm <= 0
+    ):
         wrong = "friction is below 0, or penalty or search radius is not above 0"
     elif options.penetration_mm is not None and options.penetration_mm <= 0:
         wrong = f"the penetration of {options.penetration_mm:g} mm is not above 0"
@@ -415,8 +440,9 @@ def _explained(error: SolveError, n_states: int, options: DonningOptions) -> Sol
 # ---------------------------------------------------------------- results
 
 
-def _skin_nodes(model: LimbModel, skin: str) -> IntArray:
-    facets = model.mesh.surfaces[skin].facets.values()
+def _skin_nodes(model: LimbModel) -> IntArray:
+    """The nodes at which something is pressed by the socket or a liner."""
+    facets = [f for each in model.contacts for f in model.mesh.surfaces[each.primary].facets.values()]
     return np.unique(np.concatenate([each.ravel() for each in facets]))
 
 
@@ -424,19 +450,22 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
     from limbcli.fem.record_fields import record_rows
 
     system, state, forces = running.system, snapshot.state, snapshot.forces
-    (pair,), (contact,) = system.pairs, forces.contact.points
-    nodes = _skin_nodes(running.model, pair.contact.primary)
+    nodes = _skin_nodes(running.model)
     sums = np.zeros((len(system.X), 2))  # area, and pressure times area
     shear = np.zeros((len(system.X), 3))
-    by_facet: list[tuple[Array, Array, Array]] = []
-    for patch, points in zip(pair.patches, contact, strict=True):
-        area, pressure, tangential = tractions(patch, points)
-        by_facet.append((pressure, np.linalg.norm(tangential, axis=1), area))
-        for column in patch.facets.T:
-            np.add.at(sums, (column, 0), area)
-            np.add.at(sums, (column, 1), area * pressure)
-            np.add.at(shear, column, area[:, None] * tangential)
+    for pair, found in zip(system.pairs, forces.contact.points, strict=True):
+        by_facet: list[tuple[Array, Array, Array]] = []
+        for patch, points in zip(pair.patches, found, strict=True):
+            area, pressure, tangential = tractions(patch, points)
+            by_facet.append((pressure, np.linalg.norm(tangential, axis=1), area))
+            for column in patch.facets.T:
+                np.add.at(sums, (column, 0), area)
+                np.add.at(sums, (column, 1), area * pressure)
+                np.add.at(shear, column, area[:, None] * tangential)
     facet_pressure, facet_shear, facet_area = (np.concatenate(each) for each in zip(*by_facet, strict=True))
+    if len(system.pairs) > 1:
+        loaded = facet_pressure >= LEAST_MPA
+        facet_pressure, facet_shear = facet_pressure * loaded, facet_shear * loaded
     area = np.maximum(sums[nodes, 0], 1e-300)
     cells = record_rows(system, state, forces, LogRecord("element", _CELL_FIELDS, ""))[1]
     b = _socket_number(system)
@@ -453,7 +482,9 @@ def _state(running: Analysis, snapshot: Snapshot, load: float) -> SocketState:
         socket_force_n=forces.bodies[b, :3].copy(),
         socket_moment_n_mm=forces.bodies[b, 3:].copy(),
         socket_shift_mm=np.array(state.bodies[b].shift),
-        penetration_mm=max(map(_penetration, contact), default=0.0),
+        penetration_mm=max(
+            (_penetration(each) for found in forces.contact.points for each in found), default=0.0
+        ),
         centre=np.asarray(system.bodies[b].center + state.bodies[b].shift),
         imbalance_n=float(np.linalg.norm(_left(system, state, forces)[0])),
     )
@@ -484,10 +515,12 @@ def _left(system: System, state: State, forces: Forces) -> tuple[Array, Array]:
 def _balance(running: Analysis, snapshot: Snapshot, aim: str, arm: float) -> StepBalance:
     system = running.system
     force, moment = _left(system, snapshot.state, snapshot.forces)
-    (pair,), (contact,) = system.pairs, snapshot.forces.contact.points
-    x, found = system.X + snapshot.state.u, list(zip(pair.patches, contact, strict=True))
-    couple = sum((_couple(patch, points, x) for patch, points in found), np.zeros(3))
-    pressed = sum(float(a @ p) for a, p, _ in starmap(tractions, found))
+    x, points = system.X + snapshot.state.u, snapshot.forces.contact.points
+    by_pair = [
+        list(zip(pair.patches, each, strict=True)) for pair, each in zip(system.pairs, points, strict=True)
+    ]
+    couple = sum((_couple(patch, each, x) for found in by_pair for patch, each in found), np.zeros(3))
+    pressed = sum(float(a @ p) for a, p, _ in starmap(tractions, by_pair[0]))
     return StepBalance(
         aim, pressed, float(np.linalg.norm(force)), float(np.linalg.norm(moment - couple)), arm
     )

@@ -120,7 +120,7 @@ def socket(
                 writer.file(f"picture_{name}", f"pressure_{name}.png"),
                 together,
                 kpa_from_mpa(state.facet_pressure_mpa),
-                f"{case.subject}: pressure on the {together.touching}, {_words(state)}",
+                f"{case.subject}: pressure on the {together.pressed}, {_words(state)}",
             )
         _write_skin(writer.file("skin", "skin_pressure.npz"), result, together)
         write_feb(result.model, writer.file("feb", "socket.feb"), templates)
@@ -157,6 +157,8 @@ def donning_options(given: SocketInput, options: SocketOptions, together: LimbIn
         penalty=options.contact_penalty,
         penetration_mm=options.penetration_mm or None,
         skin=together.touching,
+        liner_slides=together.slides,
+        liner_friction=None if given.liner is None else given.liner.friction,
         knee=together.knee,
         search_radius_mm=max(_LEAST_RADIUS_MM, together.fit.deepest_mm + _MARGIN_MM),
     )
@@ -315,9 +317,9 @@ def _state(state: SocketState) -> dict[str, object]:
 
 
 def _write_skin(path: Path, result: DonningResult, together: LimbInSocket) -> None:
-    """For the page's 3-D view: corners of what meets the socket, upright, mm, under the last load."""
+    """For the page's 3-D view: corners of what bears the pressures, upright, mm, under the last load."""
     state = result.states[-1]
-    facets = next(iter(result.model.mesh.surfaces[together.touching].facets.values()))[:, :3]
+    facets = next(iter(result.model.mesh.surfaces[together.pressed].facets.values()))[:, :3]
     used, triangles = np.unique(facets, return_inverse=True)
     np.savez_compressed(
         path,

@@ -118,3 +118,67 @@ def test_stress_is_uniform_through_meshes_that_do_not_match(kind: str) -> None:
     _, end = last(pressed(stacked(kind, (4, 4, 2), (2, 2, 2))))
     pressure = tractions_of(end)
     np.testing.assert_allclose(pressure, expected_pressure(0.3), rtol=1e-8)
+
+
+def rubbing(kind: str, mu: float, **options: bool) -> LimbModel:
+    """Blocks of meshes that do not match, the upper one smaller, on held faces."""
+    contact = Contact("top", "bottom", penalty=20.0, search_radius=2.0, friction=mu, **options)
+    model = stacked(kind, (3, 3, 2), (2, 2, 2), contact=contact, side=4.7, shift=0.6)
+    return replace(model, supports=(Support("z0", ("x", "y", "z")), Support("upper_z1", ("x", "y", "z"))))
+
+
+def moved_at_random(system: System, rng: np.random.Generator):
+    """A state deep in contact and one step of slip on from the stored one, with points that stick and slip."""
+    begin = system.moved(system.rest(), 2e-2 * rng.standard_normal(system.n_unknowns))
+    u = begin.u.copy()
+    u[system.model.mesh.blocks[1].cells.ravel().min() :] -= [0.0, 0.0, 0.15]
+    begin = replace(begin, u=u)
+    system.remember(system.search(begin).state)
+    drift = np.where(system.X[:, :1] > 3.0, [[0.25, 0.1, 0.0]], [[0.01, 0.005, 0.0]])
+    upper = np.arange(len(system.X)) >= len(system.X) - len(np.unique(system.model.mesh.blocks[1].cells))
+    u = begin.u + np.where(upper[:, None], drift, 0.0)
+    return system.moved(replace(begin, u=u), 5e-3 * rng.standard_normal(system.n_unknowns))
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
+@pytest.mark.parametrize("mu", [0.0, 0.4])
+def test_tangent_agrees_with_differences(kind: str, mu: float, rng: np.random.Generator) -> None:
+    """Of both sides, where points stick, where they slip and, without friction, where the traction fades; the
+    matrix of the factor has the same terms."""
+    system = System(rubbing(kind, mu), threads=1)
+    system.pairs[0].rim = np.where(system.pairs[0].rim > 0, 0.4, 0.0)
+    assert system.pairs[0].rim.any() == (mu == 0.0)
+    state = moved_at_random(system, rng)
+    forces = system.forces(state)
+    sticks = np.concatenate([points[..., STICKS].ravel() for points in forces.contact.points[0]])
+    assert forces.n_touching > 12
+    if mu:
+        assert 3 < sticks.sum() < forces.n_touching - 3
+    direction = rng.standard_normal(system.n_unknowns)
+    exact = assemble(system, state, forces.nodal).times(forces.contact, direction)
+    h = 1e-7
+    up, down = (system.forces(system.moved(state, s * h * direction)).residual for s in (1, -1))
+    np.testing.assert_allclose((up - down) / (2 * h), exact, atol=2e-6 * abs(exact).max())
+    change = system.contact_change(forces.contact, direction)
+    matrix = system.contact_matrix(forces.contact, system.equations, system.n_tissue)
+    np.testing.assert_allclose(matrix @ direction, change, atol=1e-12 * abs(change).max())
+    half = system.couplings(forces.contact)
+    np.testing.assert_allclose((half - 0.5 * (matrix + matrix.T)).toarray(), 0.0, atol=1e-15)
+
+
+@pytest.mark.parametrize("mu", [0.0, 0.4])
+def test_what_one_side_bears_the_other_gives_back(mu: float, rng: np.random.Generator) -> None:
+    """Forces balance, and their moments but for the couple of friction over the penetration."""
+    system = System(rubbing("tet10", mu), threads=1)
+    state = moved_at_random(system, rng)
+    contact = system.search(state)
+    nodal, _ = system.contact_forces(contact)
+    x = system.X + state.u
+    size = np.abs(nodal).sum()
+    np.testing.assert_allclose(nodal.sum(axis=0), 0.0, atol=1e-14 * size)
+    upper = np.unique(system.model.mesh.blocks[1].cells)
+    assert np.linalg.norm(nodal[upper].sum(axis=0)) > 0.01 * size
+    moment = np.cross(x, nodal).sum(axis=0)
+    if not mu:
+        np.testing.assert_allclose(moment, 0.0, atol=1e-12 * size)
+    assert np.linalg.norm(moment) < 0.2 * np.linalg.norm(nodal[upper].sum(axis=0))

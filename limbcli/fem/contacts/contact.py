@@ -31,11 +31,14 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         body = _body_of(facets2, groups, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
         points = np.ascontiguousarray(model.mesh.points, dtype=float)
-        if contact.friction or body is None:  # no fading at the rim: a sticking point does not slide off
-            sharp = np.zeros((len(facets2), 4))
-            pairs.append(FrictionPair(contact, facets2, patches, sharp, body, points))
+        if contact.friction:  # no fading at the rim: a sticking point does not slide off
+            rim = np.zeros((len(facets2), 4))
         else:
-            pairs.append(Pair(contact, facets2, patches, rim_widths(points, facets2, patches), body))
+            rim = rim_widths(points, facets2, patches)
+        if contact.friction or body is None:
+            pairs.append(FrictionPair(contact, facets2, patches, rim, body, points))
+        else:
+            pairs.append(Pair(contact, facets2, patches, rim, body))
     return pairs
 
 

@@ -48,7 +48,9 @@ from limbcli.fem.contacts.contact_points import (
     NORMAL,
     OTHER,
     POINT,
+    SLIDE,
     TRACTION,
+    WEIGHT,
     cross,
     facet_point,
     facet_shape,
@@ -224,7 +226,9 @@ def _change(
     facet_point(past, nodes2, N2[:n2], dN2, old, olds, oldt)
     ds, dt = natural_change(move, xs, xt)
     length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
-    p, dp = row[TRACTION], eps * dg
+    p, dp = row[TRACTION], row[WEIGHT] * eps * dg
+    for i in range(3):
+        dp += p / row[WEIGHT] * row[SLIDE + i] * move[i]
     if length > 0.0:
         u = np.empty(3)
         cross(before[TANGENTS : TANGENTS + 3], d2, u)

@@ -43,6 +43,7 @@ class LimbInSocket:
     face : inner face, normals towards the limb; fit : clearances before donning
     alignment : None where the surface was not moved; words : what the socket is
     touching : name of the surface that meets the socket: the skin or the liner
+    slides : whether a liner slides on the skin; pressures are then those on the skin
     knee : shear and moment at the knee centre, or None
     """
 
@@ -55,7 +56,13 @@ class LimbInSocket:
     words: str
     alignment: Alignment | None = None
     touching: str = "skin"
+    slides: bool = False
     knee: KneeLoad | None = None
+
+    @property
+    def pressed(self) -> str:
+        """Name of the surface that bears the pressures."""
+        return "skin" if self.slides else self.touching
 
     def in_lps(self, points: Array) -> Array:
         """Points (n, 3) of the upright frame in patient LPS."""
@@ -104,12 +111,19 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
     if given.liner is not None:
         if given.surface is not None:
             check_room(clearance(face, skin, line, where=where), skin, given.liner.thickness)
-        words += f"; a liner of {given.liner.thickness:g} mm is bonded to the skin"
-        limb, touching = with_liner(limb, Liner(**vars(given.liner))), LINER
+        liner = given.liner
+        how = "is bonded to" if liner.bonded else "slides on"
+        words += f"; a liner of {liner.thickness:g} mm {how} the skin"
+        made = Liner(
+            thickness=liner.thickness, youngs_modulus=liner.youngs_modulus, poisson=liner.poisson,
+            bonded=liner.bonded,
+        )  # fmt: skip
+        limb, touching = with_liner(limb, made), LINER
     knee = None if given.knee is None else _knee_load(limb, frame, line, given.knee)
     return LimbInSocket(
         limb=limb, frame=frame, skin=skin, points=points, face=face, fit=fit, words=words,
         alignment=alignment, touching=touching, knee=knee,
+        slides=given.liner is not None and not given.liner.bonded,
     )  # fmt: skip
 
 
