@@ -1,4 +1,4 @@
-"""`<Contact>`: contact between the soft primary surface and the rigid secondary one."""
+"""`<Contact>`: contact between the soft primary surface and the secondary one."""
 
 from __future__ import annotations
 

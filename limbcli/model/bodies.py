@@ -69,7 +69,7 @@ class Spring:
 
 @dataclass(frozen=True)
 class Contact:
-    """FEBio's `sliding-elastic`: a deformable primary surface against a rigid secondary one.
+    """FEBio's `sliding-elastic`: a deformable primary surface against a rigid or deformable one.
 
     penalty_curve : name of the load curve that multiplies the penalty. An interference is resolved over
         load steps by a penalty that grows from nearly 0; None: the penalty is constant

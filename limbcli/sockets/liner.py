@@ -41,8 +41,8 @@ class Liner:
 
 
 def with_liner(limb: LimbModel, liner: Liner, *, skin: str = "skin") -> LimbModel:
-    """The limb with its liner: block and surface `liner`; the surface's facets are in the skin's order. Of one
-    that slides also the surface `liner_inside`, whose normals point to the skin.
+    """The limb with its liner: block and surface `liner`; the surface's facets are in the skin's order. Of a
+    liner that slides also the surface `liner_inside`, whose normals point to the skin.
 
     Raises
     ------

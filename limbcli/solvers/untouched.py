@@ -74,7 +74,7 @@ def _reason(model: LimbModel, contact: Contact, poses: Poses) -> str:
                 f"its primary surface {contact.primary!r} is the rigid body's: with auto_penalty FEBio may"
                 " give no force. Make the soft surface the primary one"
             )
-        return "its secondary surface is not that of a rigid body"
+        return "its secondary surface is not a rigid body's, and limbcli searches only those for the reason"
     with suppress(SolveError):
         return _look(model, contact, owner, [pose[owner.name] for pose in poses if owner.name in pose])
     return "limbcli cannot search this kind of contact for the reason"

@@ -44,8 +44,8 @@ def test_a_case_without_the_table_has_no_socket(tmp_path: Path):
         ({"surface": "none.stl"}, "was not found"),
         ({"liner": {"thickness_mm": 3.0}}, "missing 'youngs_modulus_kpa'"),
         (
-            {"liner": {"thickness_mm": 3.0, "youngs_modulus_kpa": 300.0, "bonded": False}},
-            "slides on the skin",
+            {"liner": {"thickness_mm": 3.0, "youngs_modulus_kpa": 300.0, "friction": 0.2}},
+            "to which the liner is bonded",
         ),
         ({"liner": {"thickness_mm": 60.0, "youngs_modulus_kpa": 300.0}}, "thickness_mm is 60"),
         ({"knee": {"anterior_n": 9000.0}}, "anterior_n is 9000"),

@@ -258,7 +258,6 @@ def test_augmentations_go_on_as_febios() -> None:
         ({"more": {"tension": "1"}}, "tension"),
         ({"more": {"node_reloc": "1"}}, "node_reloc"),
         ({"augmented": True, "more": {"smooth_aug": "1"}}, "smooth_aug"),
-        ({"secondary": "contact"}, "not part of one rigid body"),
     ],
 )
 def test_contact_that_is_not_supported_is_named(change: dict, word: str) -> None:

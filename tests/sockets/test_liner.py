@@ -15,15 +15,15 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, Mesh, Surface
 from limbcli.sockets.centre_line import centre_line
 from limbcli.sockets.checks import check_room, clearance
-from limbcli.sockets.liner import LINER, Liner, grown, with_liner
+from limbcli.sockets.liner import LINER, LINER_INSIDE, TIGHT_MM, Liner, grown, with_liner
 
 SOFT = Liner(thickness=3.0, youngs_modulus=0.3, poisson=0.45)
 
 
-def lined(kind: str) -> LimbModel:
+def lined(kind: str, *, bonded: bool = True) -> LimbModel:
     base = block(kind, (3, 3, 2), (12.0, 12.0, 6.0), material=SOFT.material)
     mesh = replace(base.mesh, surfaces={"skin": Surface("skin", top_facets(base))})
-    return with_liner(replace(base, mesh=mesh), SOFT)
+    return with_liner(replace(base, mesh=mesh), replace(SOFT, bonded=bonded))
 
 
 @pytest.mark.parametrize("kind", ["tet4", "tet10"])
@@ -40,6 +40,22 @@ def test_an_even_strain_of_block_and_liner_has_no_force_inside(kind: str, rng: n
     assert inside.any()
     np.testing.assert_allclose(forces[inside], 0.0, atol=1e-7 * np.abs(forces).max())
     assert X[:, 2].max() == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("kind", ["tet4", "tet10"])
+def test_one_that_slides_has_nodes_of_its_own_just_inside_the_skin(kind: str) -> None:
+    bonded, free = lined(kind), lined(kind, bonded=False)
+    (skin,), (inside,) = (free.mesh.surfaces[name].facets.values() for name in ("skin", LINER_INSIDE))
+    cells = {each.name: np.unique(each.cells) for each in free.mesh.blocks}
+    assert not np.intersect1d(cells["tissue"], cells[LINER]).size
+    assert np.isin(inside, cells[LINER]).all()
+    X = free.mesh.points
+    np.testing.assert_allclose(X[inside].mean(axis=1) - X[skin].mean(axis=1), [[0, 0, -TIGHT_MM]] * len(skin))
+    normals = [np.cross(X[f[:, 1]] - X[f[:, 0]], X[f[:, 2]] - X[f[:, 0]]) for f in (skin, inside)]
+    np.testing.assert_allclose(normals[1], -normals[0])
+    assert {len(np.unique(np.round(each.mesh.points, 1), axis=0)) for each in (bonded, free)} == {
+        len(bonded.mesh.points)
+    }
 
 
 def test_its_facets_lie_over_the_skins_in_the_same_order() -> None:

@@ -146,6 +146,9 @@ CHANGES: dict[tuple[str, str], tuple[Change, str | None]] = {
     **{("liner", key): (_instead("socket", liner={**_LINER, key: value}), "socket") for key, value in {
         "thickness_mm": 4.0, "youngs_modulus_kpa": 400.0, "poisson": 0.4, "bonded": True,
     }.items()},
+    ("liner", "friction"): (
+        _instead("socket", liner={**_LINER, "bonded": False, "friction": 0.2}), "socket"
+    ),
     ("probe", "name"): (_in("probe", name="another"), None),
     ("probe", "length_mm"): (_in("probe", length_mm=31.0), "probe"),
     ("probe", "width_mm"): (_in("probe", width_mm=13.0), "probe"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -104,6 +105,34 @@ def test_the_files_say_the_same(made):
     written = read_feb(made.files["feb"])
     assert [each.name for each in written.bodies][-1] == "socket"
     assert made.files["picture_load_60_n"].is_file()
+
+
+@pytest.mark.slow
+def test_a_liner_that_slides_leaves_its_pressures_on_the_skin(limb_made, tmp_path: Path):
+    case, out = limb_made
+    liner = {"thickness_mm": 3.0, "youngs_modulus_kpa": 300.0, "bonded": False, "friction": 0.1}
+    lined = replace(
+        case, raw={**case.raw, "socket": {**case.raw["socket"], "liner": liner, "loads_n": [30.0]}}
+    )
+    shutil.copytree(out / "limb", tmp_path / "limb")
+    options = replace(QUICK, penetration_mm=0.0)
+    result = socket(lined, out=tmp_path, options=options)
+    assert "slides on the skin" in result.data["socket"]
+    assert max(each["share"] for each in result.data["balance"]) < 1e-4
+    written = read_feb(result.files["feb"])
+    socket_side, skin_side = written.contacts
+    assert (socket_side.primary, socket_side.friction) == ("liner", 0.0)
+    assert (skin_side.primary, skin_side.secondary, skin_side.friction) == ("skin", "liner_inside", 0.1)
+    grid = meshio.read(result.files["vtu"])
+    pressure, shear = (grid.point_data[f"{name}_kpa_load_30_n"] for name in ("pressure", "shear"))
+    on_skin = np.unique(next(iter(written.mesh.surfaces["skin"].facets.values())))
+    outside = np.unique(next(iter(written.mesh.surfaces["liner"].facets.values())))
+    assert np.flatnonzero(~np.isnan(pressure)).tolist() == np.union1d(on_skin, outside).tolist()
+    assert shear[on_skin].max() > 0.0
+    assert shear[outside].max() == 0.0
+    (whole,) = (each for each in result.data["patches"] if each["patch"] == WHOLE and each["load_n"] == 30.0)
+    assert 0.1 < whole["mean_shear_kpa"] / (0.1 * whole["mean_kpa"]) <= 1.01
+    assert 0.3 < whole["contact_area_mm2"] / whole["area_mm2"] < 1.0
 
 
 @pytest.mark.slow

@@ -1,4 +1,4 @@
-"""Builds the contact pairs of a model: patches of soft facets against the facets of rigid bodies or tissue."""
+"""Builds the contact pairs of a model: patches of soft facets against facets of a rigid body or of tissue."""
 
 from __future__ import annotations
 
@@ -31,10 +31,9 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         body = _body_of(facets2, groups, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
         points = np.ascontiguousarray(model.mesh.points, dtype=float)
-        if contact.friction:  # no fading at the rim: a sticking point does not slide off
-            rim = np.zeros((len(facets2), 4))
-        else:
-            rim = rim_widths(points, facets2, patches)
+        # with friction no fading at the rim: a sticking point does not slide off
+        sharp = np.zeros((len(facets2), 4))
+        rim = sharp if contact.friction else rim_widths(points, facets2, patches)
         if contact.friction or body is None:
             pairs.append(FrictionPair(contact, facets2, patches, rim, body, points))
         else:

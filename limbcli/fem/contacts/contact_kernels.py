@@ -1,7 +1,8 @@
 """Compiled loops of frictionless contact: force and tangent.
 
-Where contact was found (see `contact_search`), the primary side bears a traction t = eps g (plus a multiplier)
-against its normal, per current area. Columns of `state` and symbols are explained in `contact_points`.
+Where contact was found (see `contact_search`), the primary side bears a traction t = eps g (plus a
+multiplier) against its normal, per current area. Columns of `state` and symbols are explained in
+`contact_points`.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic).
 """

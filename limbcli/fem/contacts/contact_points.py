@@ -1,17 +1,18 @@
-"""Integration points of primary facets in contact: kinematics and state shared by the compiled contact loops.
+"""Integration points of primary facets in contact: kinematics and state of the compiled contact loops.
 
-Every integration point of the primary facets has a current position r, area vector n = g1 x g2 and unit normal
-nu; the line along nu intersects the secondary surface at q with gap g = nu.(r - q), positive for penetration.
+Every integration point of the primary facets has a current position r, area vector n = g1 x g2 and unit
+normal nu; the line along nu intersects the secondary surface at q with gap g = nu.(r - q), positive for
+penetration.
 `state` (n_facets, n_gauss, 18) holds gap, n, m (normal of the secondary facet at q), q, traction, secondary
 facet, weight, the gradient of the weight with respect to q, and the natural coordinates of q.
 
 The secondary surface is known by its nodes alone, whether these deform with tissue or move with a rigid body:
 a force f at r acts as N_a f on the nodes of the primary facet and as -N_a(q) f on those of the secondary one.
-`facets2` (n, 4 or 6) are its nodes: of a triangle the fourth is -1, of all but a tri6 those from the fifth on.
+`facets2` (n, 4 or 6) are its nodes: of a tri3 the fourth is -1, of all but a tri6 those from the fifth on.
 
-A secondary surface that is not closed ends at a rim. There the traction is faded out by a weight that falls from
-1 to 0 across the rim, over a small fraction of the soft facets' size: without it, a point loses its whole
-traction as it slides off and regains it as it springs back, so that no equilibrium exists.
+A secondary surface that is not closed ends at a rim. There the traction is faded out by a weight that falls
+from 1 to 0 across the rim, over a small fraction of the primary facets' size: without it, a point loses its
+whole traction as it slides off and regains it as it springs back, so that no equilibrium exists.
 """
 
 from __future__ import annotations

@@ -79,8 +79,8 @@ def _write_projection(g, m, r, nu, s, t, along_s, along_t, out):
 
 @njit
 def _hit_curved(x2, nodes, r, nu, tolerance, out):
-    """Intersect the line with a bilinear or quadratic facet by Newton's method; of a bilinear one first its two
-    triangles."""
+    """Intersect the line with a bilinear or quadratic facet by Newton's method; the former's two triangles
+    first."""
     quad = is_quad(nodes)
     if (
         quad

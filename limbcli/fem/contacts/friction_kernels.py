@@ -1,8 +1,8 @@
 """Compiled loops of Coulomb friction.
 
 For every integration point of the primary facets, position, tangents and the point of the secondary facet
-that it met (the anchor, which moves with that facet) are stored at the last converged step. With d = r - anchor in the current
-configuration, and the normal pressure p = eps g of frictionless contact:
+that it met (the anchor, which moves with that facet) are stored at the last converged step. With
+d = r - anchor in the current configuration, and the normal pressure p = eps g of frictionless contact:
 
     stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
     slip    T = p (nu + mu s)          otherwise, and if the point has no anchor
@@ -297,7 +297,7 @@ def times(x, facets, N, dN, weights, eps, state, yields, facets2, v, out, mu, be
 
 @njit
 def blocks(x, facets, N, dN, weights, eps, state, yields, facets2, out, mu, before, past, pull, couples):
-    """Tangent of each touching primary facet alone, out (n_facets, n, 3, n, 3); returns which facets touch."""
+    """Tangent of each touching primary facet, out (n_facets, n, 3, n, 3); returns which facets touch."""
     touched = np.zeros(facets.shape[0], dtype=np.bool_)
     for f in range(facets.shape[0]):
         out[f] = 0.0
