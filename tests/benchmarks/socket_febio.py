@@ -8,8 +8,8 @@ Writes socket.feb as `limbcli socket` does, runs the reference solver and FEBio 
 --febio) on it, each in a process of its own, on one thread, and prints a row for each state: the difference
 of the facets' pressures (rms over the area, as a share of the rms pressure), the same at the nodes (weighted
 by area), of the total (pressure times area), the axial forces on the socket, processor seconds and peak
-memory. The pressure of a facet is the plain mean over its integration points, as FEBio logs it. What has run
-is kept in DIR.
+memory. With a liner that slides they are those on the skin. The pressure of a facet is the plain mean over
+its integration points, as FEBio logs it. What has run is kept in DIR.
 """
 
 from __future__ import annotations
@@ -75,7 +75,7 @@ def written(options: argparse.Namespace, feb: Path) -> None:
 
 def with_records(model: LimbModel, feb: Path) -> None:
     text = write_feb(replace(model, records=(FORCE,)), feb.with_name("plain.feb")).read_text()
-    feb.write_text(text.replace("</logfile>", PRESSURE.format(model.contacts[0].primary)))
+    feb.write_text(text.replace("</logfile>", PRESSURE.format(model.contacts[-1].primary)))
 
 
 def ends(model: LimbModel) -> list[float]:
@@ -97,7 +97,7 @@ def reference(feb: Path, *, slip_as_febio: bool = False) -> None:
     def visit(running, snapshot) -> None:
         print(f"step {snapshot.part}.{snapshot.step} at {time.process_time():.1f} s", flush=True)
         if snapshot.must:
-            (pair,), (contact,) = running.system.pairs, snapshot.forces.contact.points
+            pair, contact = running.system.pairs[-1], snapshot.forces.contact.points[-1]
             area, _, shear = (
                 np.concatenate(x) for x in zip(*map(tractions, pair.patches, contact), strict=True)
             )
@@ -154,7 +154,7 @@ def share(a: Array, b: Array, weight: Array) -> float:
 
 def rows(feb: Path) -> list[str]:
     model = read_feb(feb)
-    facets = next(iter(model.mesh.surfaces[model.contacts[0].primary].facets.values()))[:, :3]
+    facets = next(iter(model.mesh.surfaces[model.contacts[-1].primary].facets.values()))[:, :3]
     ours, theirs = (dict(np.load(feb.parent / name)) for name in (REFERENCE, FEBIO))
     found = []
     for k in range(len(ends(model))):

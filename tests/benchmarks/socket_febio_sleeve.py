@@ -1,10 +1,11 @@
 """A tight sleeve of tetrahedra in both solvers: small enough to find out why facets differ.
 
     python -m tests.benchmarks.socket_febio_sleeve --work DIR [--tet10] [--friction 0.3]
-        [--penetration-mm 0.1] [--slip-as-febio] [--febio FILE]
+        [--penetration-mm 0.1] [--slip-as-febio] [--liner bonded|slides] [--febio FILE]
 
 An oval sleeve on a bone, in a rigid one of other facets whose flared brim ends below its upper end: donned in
-6 steps, then pushed on with 2 N in 3. Prints the rows of `socket_febio`. --penetration-mm 0: penalty alone.
+6 steps, then pushed on with 2 N in 3. A liner is 2 mm thick, of 300 kPa. Prints the rows of `socket_febio`.
+--penetration-mm 0: penalty alone.
 """
 
 from __future__ import annotations
@@ -19,11 +20,12 @@ from limbcli.meshing.regions import facets, quadratic
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, LimbModel, Support, Surface
 from limbcli.sockets.donning import DonningOptions, don_and_load
+from limbcli.sockets.liner import LINER, Liner, with_liner
 from limbcli.solvers.febio import FebioSolver
 from tests.benchmarks.socket_febio import febio, reference, rows, with_records
 from tests.fem.tubes import LENGTH, OUTER, tube
 
-LONG, TIGHT = 3.0 * LENGTH, 0.8  # mm
+LONG, TIGHT, THICK = 3.0 * LENGTH, 0.8, 2.0  # mm
 _SIX = np.array([(0, 1, 2, 6), (0, 2, 3, 6), (0, 3, 7, 6), (0, 7, 4, 6), (0, 4, 5, 6), (0, 5, 1, 6)])
 _FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
 
@@ -80,6 +82,16 @@ def face(n: int = 37, n_rows: int = 11) -> Triangles:
     return Triangles(points, np.concatenate(faces).astype(np.int64))
 
 
+def lined(limb: LimbModel, wall: Triangles, how: str | None) -> tuple[LimbModel, Triangles]:
+    """With the liner asked for, and the wall as much wider as it is thick."""
+    if how is None:
+        return limb, wall
+    made = Liner(thickness=THICK, youngs_modulus=0.3, poisson=0.45, bonded=how == "bonded")
+    radius = np.hypot(wall.points[:, 0], wall.points[:, 1])
+    wider = wall.points * np.stack([1 + THICK / radius, 1 + THICK / radius, np.ones(len(radius))], axis=1)
+    return with_liner(limb, made), Triangles(wider, wall.faces)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
     parser.add_argument("--work", type=Path, required=True)
@@ -87,15 +99,18 @@ def main() -> None:
     parser.add_argument("--tet10", action="store_true")
     parser.add_argument("--friction", type=float, default=0.0)
     parser.add_argument("--penetration-mm", type=float, default=0.1)
+    parser.add_argument("--liner", choices=["bonded", "slides"])
     parser.add_argument("--slip-as-febio", action="store_true", help="in the reference solver")
     given = parser.parse_args()
     given.work.mkdir(parents=True, exist_ok=True)
     options = DonningOptions(
         friction=given.friction, loads_n=(2.0,), donning_steps=6, load_steps=3, search_radius_mm=8.0,
         penetration_mm=given.penetration_mm or None, slip_as_febio=given.slip_as_febio,
+        skin=LINER if given.liner else "skin", liner_slides=given.liner == "slides",
     )  # fmt: skip
     feb = given.work / "socket.feb"
-    with_records(don_and_load(limb(tet10=given.tet10), face(), options, threads=1).model, feb)
+    model, wall = lined(limb(tet10=given.tet10), face(), given.liner)
+    with_records(don_and_load(model, wall, options, threads=1).model, feb)
     reference(feb, slip_as_febio=given.slip_as_febio)
     febio(feb, FebioSolver(binary=given.febio).need())
     print("| state | facets | nodes | total | axial force, N |\n|-|-|-|-|-|\n" + "\n".join(rows(feb)))
