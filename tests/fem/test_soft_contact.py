@@ -17,8 +17,8 @@ from limbcli.feb.law_tags import lame
 from limbcli.feb.records import read_records
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis, Snapshot
-from limbcli.fem.contacts.contact_points import TRACTION
-from limbcli.fem.contacts.friction_kernels import STICKS
+from limbcli.fem.contacts.contact_points import NORMAL, TRACTION
+from limbcli.fem.contacts.friction_kernels import PUSH, STICKS
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.linear_solvers.direct import make
@@ -194,10 +194,10 @@ def test_a_dragged_block_slips_at_mu_times_the_force() -> None:
     """Pressed, then dragged over the lower one further than both can shear: Coulomb's law of the face."""
     mu = 0.3
     contact = Contact("top", "bottom", penalty=20.0, search_radius=2.0, friction=mu)
-    model = stacked("hex8", (3, 3, 1), (2, 2, 1), contact=contact, side=4.0, shift=0.5)
+    model = stacked("hex8", (3, 3, 1), (2, 2, 1), contact=contact, side=9.0, shift=-2.0)
     curves = {"press": Curve(((0.0, 0.0), (1.0, 1.0))), "drag": Curve(((0.0, 0.0), (1.0, 0.0), (5.0, 1.0)))}
     supports = (
-        Support("z0", ("x", "y", "z")),
+        Support("all", ("x", "y", "z")),  # of the lower block: the normals of its face stay alike
         Support("upper_z1", ("z",), -0.3, "press"),
         Support("upper_z1", ("x",), 1.2, "drag"),
         Support("upper_z1", ("y",)),
@@ -206,7 +206,12 @@ def test_a_dragged_block_slips_at_mu_times_the_force() -> None:
     force = end.forces.nodal[model.mesh.node_sets["upper_z1"]].sum(axis=0)
     assert not any((points[..., STICKS] > 0).any() for points in end.forces.contact.points[0])
     assert force[2] < -1e-3
-    # a few points also give way sideways as the block bulges
+    points = end.forces.contact.points[0][0]
+    points = points[points[..., TRACTION] > 0]
+    size = np.linalg.norm(points[..., NORMAL : NORMAL + 3], axis=1, keepdims=True)
+    nu = points[..., NORMAL : NORMAL + 3] / size
+    along = points[..., PUSH : PUSH + 3] - points[..., TRACTION, None] * nu
+    np.testing.assert_allclose(np.linalg.norm(along, axis=1), mu * points[..., TRACTION], rtol=1e-9)
     assert -force[0] / force[2] == pytest.approx(mu, rel=2e-3)
 
 

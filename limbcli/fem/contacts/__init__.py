@@ -1,1 +1,1 @@
-"""Contact of soft facets with rigid bodies and with each other: search, contact pairs, penalty, friction, compiled loops."""
+"""Contact of soft facets with rigid bodies and each other: search, pairs, penalty, friction, loops."""
