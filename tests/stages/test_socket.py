@@ -114,16 +114,17 @@ def test_a_liner_that_slides_leaves_its_pressures_on_the_skin(limb_made, tmp_pat
     lined = replace(
         case, raw={**case.raw, "socket": {**case.raw["socket"], "liner": liner, "loads_n": [30.0]}}
     )
-    shutil.copytree(out / "limb", tmp_path / "limb")
+    for name in ("segment", "limb"):
+        shutil.copytree(out / name, tmp_path / name)
     options = replace(QUICK, penetration_mm=0.0)
     result = socket(lined, out=tmp_path, options=options)
     assert "slides on the skin" in result.data["socket"]
     assert max(each["share"] for each in result.data["balance"]) < 1e-4
-    written = read_feb(result.files["feb"])
+    written = read_feb(result.path("feb"))
     socket_side, skin_side = written.contacts
     assert (socket_side.primary, socket_side.friction) == ("liner", 0.0)
     assert (skin_side.primary, skin_side.secondary, skin_side.friction) == ("skin", "liner_inside", 0.1)
-    grid = meshio.read(result.files["vtu"])
+    grid = meshio.read(result.path("vtu"))
     pressure, shear = (grid.point_data[f"{name}_kpa_load_30_n"] for name in ("pressure", "shear"))
     on_skin = np.unique(next(iter(written.mesh.surfaces["skin"].facets.values())))
     outside = np.unique(next(iter(written.mesh.surfaces["liner"].facets.values())))
