@@ -15,7 +15,9 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, Mesh, Surface
 from limbcli.sockets.centre_line import centre_line
 from limbcli.sockets.checks import check_room, clearance
+from limbcli.sockets.donning import DonningOptions, don_and_load
 from limbcli.sockets.liner import LINER, LINER_INSIDE, TIGHT_MM, Liner, grown, with_liner
+from tests.benchmarks import socket_febio_sleeve as sleeve
 
 SOFT = Liner(thickness=3.0, youngs_modulus=0.3, poisson=0.45)
 
@@ -79,3 +81,24 @@ def test_a_liner_thicker_than_the_gap_is_refused() -> None:
     with pytest.raises(MeshError, match="thicker than the gap") as caught:
         check_room(before, skin, 8.0)
     assert caught.value.fix
+
+
+def test_a_liner_that_hardly_slides_is_nearly_a_bonded_one() -> None:
+    """Friction 2 on the skin, and little penetration: what holds and what strains is then the same."""
+    options = DonningOptions(
+        loads_n=(), donning_steps=3, search_radius_mm=8.0, penetration_mm=0.04, skin=LINER, liner_friction=2.0
+    )
+    found = {}
+    for how in ("bonded", "slides"):
+        limb, wall = sleeve.lined(sleeve.limb(tet10=False), sleeve.face(), how)
+        result = don_and_load(limb, wall, replace(options, liner_slides=how == "slides"), threads=1)
+        assert result.worst.share < 1e-4
+        found[how] = result.states[0]
+    bonded, slides = found["bonded"], found["slides"]
+    assert slides.socket_force_n[2] == pytest.approx(bonded.socket_force_n[2], rel=0.06)
+    n = int(sleeve.limb(tet10=False).mesh.blocks[0].cells.max()) + 1
+    apart = slides.displacements[:n] - bonded.displacements[:n]
+    assert np.linalg.norm(apart) < 0.15 * np.linalg.norm(bonded.displacements[:n])
+    # on the skin less pressure than outside, by the ratio of the radii (22 to 20), and what penetration takes
+    total = [(each.facet_pressure_mpa * each.facet_area_mm2).sum() for each in (slides, bonded)]
+    assert 0.8 < total[0] / total[1] < 0.95
