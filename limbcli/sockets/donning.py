@@ -205,7 +205,7 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
         gap_tolerance_curve=_CLOSING if options.penetration_mm else None,
         more={"maxaug": f"{_MOST_AUGMENTATIONS}"} if options.penetration_mm else {},
     )
-    contacts = (contact,)
+    contacts: tuple[Contact, ...] = (contact,)
     if options.liner_slides:
         friction = options.friction if options.liner_friction is None else options.liner_friction
         contacts += (
