@@ -31,7 +31,10 @@ from limbcli.model import Array, IntArray, LimbModel, Load, Support
 from limbcli.model.bodies import Drive
 
 _NOTHING = 1e-9  # force regarded as zero, as a fraction of tissue stiffness times tissue size squared
-_MOST_IN_ROOT = 4_000  # unknowns: their dense front takes 64 MB in single precision
+# Unknowns that contact may change: as many can be in a front of their own, whose dense factor is then renewed
+# alone. 4000 take 64 MB in single precision; more than a tenth of all (of a socket a third) cost as much as
+# the whole factor, unless they are few.
+_MOST_IN_ROOT, _SHARE_IN_ROOT, _FEW_IN_ROOT = 4_000, 0.1, 1_000
 
 
 class System(RigidLoads, ElementLoops):
@@ -294,7 +297,8 @@ class System(RigidLoads, ElementLoops):
     def within_reach(self) -> IntArray:
         """Sorted equation numbers of the nodes that the rigid surfaces may touch during this step.
 
-        Empty where they are too many to be eliminated together, as in a socket around a whole limb.
+        Empty where they are too many to be eliminated together, or too large a part of all, as in a socket
+        around a whole limb.
         """
         nodes = [
             near_nodes(self.X, pair.facets2, patch.facets, patch.normals)
@@ -304,7 +308,8 @@ class System(RigidLoads, ElementLoops):
         ]
         found = self.equations[np.concatenate(nodes)].ravel() if nodes else np.zeros(0, dtype=np.int64)
         found = np.unique(found[found >= 0])
-        return found if len(found) <= _MOST_IN_ROOT else found[:0]
+        most = min(max(_SHARE_IN_ROOT * self.n_tissue, _FEW_IN_ROOT), _MOST_IN_ROOT)
+        return found if len(found) <= most else found[:0]
 
     def may_pass(self, state: State, time: float) -> bool:
         """Whether a secondary surface not in contact at a converged state would move by more than the contact

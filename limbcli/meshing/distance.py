@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -45,6 +46,17 @@ class Grid:
 
     def axis(self, k: int) -> Array:
         return self.origin[k] + self.spacing * np.arange(self.shape[k])
+
+    def near(self, places: Array, reach: float) -> NDArray[np.bool_]:
+        """Which samples (nx, ny, nz) are less than `reach` mm from one of some places (n, 3)."""
+        found = np.zeros(self.shape, bool)
+        for place in np.asarray(places, float):
+            at = (place - self.origin) / self.spacing
+            low, high = np.floor(at - reach / self.spacing), np.ceil(at + reach / self.spacing) + 1
+            box = tuple(slice(max(int(a), 0), max(int(b), 0)) for a, b in zip(low, high, strict=True))
+            x, y, z = ((self.axis(k)[box[k]] - place[k]) ** 2 for k in range(3))
+            found[box] |= x[:, None, None] + y[:, None] + z < reach**2
+        return found
 
 
 def grid_over(low: Array, high: Array, spacing: float) -> Grid:

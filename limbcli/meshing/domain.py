@@ -7,6 +7,7 @@ resolved; the cuts are planes and stay sharp.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import manifold3d
@@ -53,6 +54,15 @@ class TissueDomain:
     notes: tuple[str, ...]
     whole: bool = False
     finest: Field | None = None
+
+    @cached_property
+    def boundary(self) -> Triangles:
+        """The closed boundary of the tissue, in triangles of about the grid's spacing.
+
+        A bone that lies entirely inside (a patella) is a void: a separate component whose normals point into
+        the bone.
+        """
+        return _boundary(self)
 
     def label(self, points: Array) -> IntArray:
         """The boundary on which points (n, 3) of the surface lie: SKIN, BONE or CUT + number of the plane."""
@@ -188,12 +198,7 @@ def _piece_at_site(pieces: NDArray[Any], n: int, points: Array) -> int:
     return int(numbers[np.argmin(nearest)])
 
 
-def boundary(domain: TissueDomain) -> Triangles:
-    """The closed boundary of the tissue at the site, in triangles of about the grid's spacing.
-
-    A bone that lies entirely inside (a patella) is a void: a separate component whose normals point into the
-    bone.
-    """
+def _boundary(domain: TissueDomain) -> Triangles:
     solid = manifold_of(_level_set(domain.skin), "skin")
     assert solid is not None
     if domain.bone is not None:

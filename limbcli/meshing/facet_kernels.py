@@ -1,4 +1,4 @@
-"""Compiled loops of the local operations on a triangle surface: edge collapses and flips."""
+"""Compiled loops on a triangle surface: who meets whom, edge collapses and flips."""
 
 from __future__ import annotations
 
@@ -7,6 +7,33 @@ from typing import Any
 import numpy as np
 
 from limbcli.numbers.compiled import njit
+
+
+@njit
+def bucketed(keys: Any, n: int) -> Any:
+    """Stable order of keys (0 to n - 1), and where each key's begin in it (n + 1): a sort in linear time."""
+    start = np.zeros(n + 1, np.int64)
+    for key in keys:
+        start[key + 1] += 1
+    for k in range(n):
+        start[k + 1] += start[k]
+    at, order = start.copy(), np.empty(len(keys), np.int64)
+    for k in range(len(keys)):
+        order[at[keys[k]]] = k
+        at[keys[k]] += 1
+    return order, start
+
+
+@njit
+def sort_within(order: Any, start: Any, keys: Any) -> None:
+    """Sort each bucket of `bucketed` by further keys, stably and in place; buckets are short."""
+    for b in range(len(start) - 1):
+        for k in range(start[b] + 1, start[b + 1]):
+            moved, m = order[k], k
+            while m > start[b] and keys[order[m - 1]] > keys[moved]:
+                order[m] = order[m - 1]
+                m -= 1
+            order[m] = moved
 
 
 @njit

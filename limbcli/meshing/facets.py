@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.meshing.facet_kernels import collapse_edges, flip_edges
+from limbcli.meshing.facet_kernels import bucketed, collapse_edges, flip_edges, sort_within
 from limbcli.meshing.surfaces import undirected
 from limbcli.model import Array, IntArray
 
@@ -18,17 +18,16 @@ _LONG, _SHORT = 1.35, 0.78  # fractions of the target length: longer edges are s
 
 def edges_of(faces: IntArray) -> tuple[IntArray, IntArray]:
     """Unique edges (n, 2) and the two faces (n, 2) at each, of a closed surface."""
-    pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
-    key = pairs[:, 0] * (int(faces.max()) + 1) + pairs[:, 1]
-    order = np.argsort(key, kind="stable")
-    return pairs[order[::2]], (order // 3).reshape(-1, 2)
+    ends = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
+    low, high = np.minimum(*ends), np.maximum(*ends)
+    order, start = bucketed(low, int(faces.max(initial=-1)) + 1)
+    sort_within(order, start, high)
+    return np.stack([low[order[::2]], high[order[::2]]], axis=1), (order // 3).reshape(-1, 2)
 
 
 def faces_round(faces: IntArray, n_points: int) -> tuple[IntArray, IntArray]:
     """The faces around each node, concatenated, and the offset at which each node's begin (n_points + 1)."""
-    flat = faces.ravel()
-    order = np.argsort(flat, kind="stable")
-    start = np.searchsorted(flat[order], np.arange(n_points + 1))
+    order, start = bucketed(faces.ravel(), n_points)
     return order // 3, start
 
 
@@ -114,8 +113,9 @@ def collapse_short(
     x, f = points.copy(), faces.copy()
     n = collapse_edges(x, f, edges[short], feature[short], ranks, wanted, around, start)
     kept = f[:, 0] >= 0
-    used, inverse = np.unique(f[kept], return_inverse=True)
-    return x[used], inverse.reshape(-1, 3).astype(np.int64), labels[kept], n
+    used = np.zeros(len(x), bool)
+    used[f[kept]] = True
+    return x[used], (np.cumsum(used) - 1)[f[kept]], labels[kept], n
 
 
 def flip(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, int]:

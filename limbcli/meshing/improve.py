@@ -16,6 +16,7 @@ import numpy as np
 
 from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain
+from limbcli.meshing.facet_kernels import bucketed
 from limbcli.model import Array, IntArray
 from limbcli.numbers.compiled import njit
 
@@ -34,7 +35,9 @@ class NodeConstraints:
     def of_faces(n_points: int, faces: IntArray, labels: IntArray) -> NodeConstraints:
         """Constraints from labelled boundary faces (m, 3); a node on three surfaces or more is fixed."""
         many = int(labels.max()) + 1 if len(labels) else 1
-        pairs = np.stack(np.divmod(np.unique(faces.ravel() * many + np.repeat(labels, 3)), many), axis=1)
+        met = np.zeros((n_points, many), bool)
+        met[faces, labels[:, None]] = True
+        pairs = np.argwhere(met)
         codes = np.zeros((n_points, 2), np.int64)
         count = np.bincount(pairs[:, 0], minlength=n_points)
         first = np.searchsorted(pairs[:, 0], np.arange(n_points))
@@ -64,9 +67,8 @@ def smooth(
 ) -> Array:
     """Move the nodes of cells with a dihedral angle below `goal_deg`, so that the worst cells improve."""
     corners = np.ascontiguousarray(cells[:, :4])
-    order = np.argsort(corners.ravel(), kind="stable")
+    order, start = bucketed(corners.ravel(), len(points))
     star = order // 4
-    start = np.searchsorted(corners.ravel()[order], np.arange(len(points) + 1))
     x = np.array(points, float)
     goal = float(np.sin(np.radians(goal_deg)))
     _smooth(x, corners, star, start, constraints.codes, *_arrays(domain), goal, passes)  # type: ignore[call-arg]

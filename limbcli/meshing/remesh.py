@@ -12,7 +12,6 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.spatial import cKDTree
 
 from limbcli.errors import MeshError
 from limbcli.meshing.distance import Field
@@ -145,8 +144,7 @@ def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Arr
 def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: float = 6.0) -> SizeField:
     """The size field reduced around places (n, 3) where facets intersect each other."""
     grid = field.bend.grid
-    distance, _ = cKDTree(places).query(grid.points().reshape(-1, 3), distance_upper_bound=reach)
-    near = np.isfinite(distance).reshape(grid.shape)
+    near = grid.near(places, reach)
     values = np.where(near, factor * np.minimum(field.bend.values, field.sizes.far), field.bend.values)
     return replace(
         field, bend=Field(grid, _graded(np.maximum(values, 0.5), grid.spacing)), least=min(0.7, field.least)

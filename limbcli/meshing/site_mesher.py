@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import MeshError, ToolError
-from limbcli.meshing.domain import TissueDomain, boundary
+from limbcli.meshing.domain import TissueDomain
 from limbcli.meshing.improve import NodeConstraints, put_back, smooth, worst_sines
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
@@ -110,7 +110,7 @@ def _score(mesh: VolumeMesh, probe: ProbeShape | None) -> float:
 
 
 def _with_tetgen(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, tale: list[str]) -> VolumeMesh:
-    fine = boundary(domain)
+    fine = domain.boundary
     field = size_field(domain, probe, sizes)
     graded = unfold(remesh(fine, domain, field), domain)
     for _ in range(_LOCAL_REPAIRS):
@@ -196,7 +196,7 @@ def _with_ftetwild(
 
 def _remeshed_or_not(domain: TissueDomain, field: SizeField, tale: list[str]) -> Triangles:
     """The boundary, remeshed if possible (it may intersect itself; fTetWild is faster with fewer facets)."""
-    fine = boundary(domain)
+    fine = domain.boundary
     try:
         return remesh(fine, domain, field).surface
     except MeshError as error:

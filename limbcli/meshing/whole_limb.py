@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.distance import Field
-from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain, boundary, make_domain
+from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain, make_domain
 from limbcli.meshing.improve import NodeConstraints, put_back
 from limbcli.meshing.layers import Layer, core_of, open_ended, with_layers
 from limbcli.meshing.limb_parts import LimbFrame
@@ -173,7 +173,7 @@ def limb_mesh(
     volume, kinds, size = _sized(filled, core, options, progress)
     mesh, curved = _assembled(volume, kinds, bones, domain, planes, options)
     progress.event("task", name="limb: mesh", done=3, total=3)
-    return LimbMesh(mesh, planes, domain.notes, volume.maker, size, boundary(domain).volume, curved)
+    return LimbMesh(mesh, planes, domain.notes, volume.maker, size, domain.boundary.volume, curved)
 
 
 def _fine(domain: TissueDomain, options: LimbMeshOptions) -> Field:
@@ -188,7 +188,7 @@ def _sized(
     domain: TissueDomain, core: TissueDomain | None, options: LimbMeshOptions, progress: Progress
 ) -> tuple[VolumeMesh, IntArray, float]:
     """Cells, their blocks, and the edge length at which the mesh has about the requested number of nodes."""
-    inside = boundary(core or domain).volume
+    inside = (core or domain).boundary.volume
     size = float((_NODES_PER_VOLUME[options.element] * inside / options.nodes) ** (1 / 3))
     best: tuple[float, VolumeMesh, IntArray, float] | None = None
     for _ in range(_ATTEMPTS):

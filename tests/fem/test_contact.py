@@ -20,6 +20,7 @@ from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.rigid import BodyState, rotation_matrix, spring_forces, whole_rotation
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
+from limbcli.materials.stress import _evaluate, penalty_modulus
 from limbcli.model import LimbModel, Step, Support
 from limbcli.model.bodies import Drive, RigidBody, Spring
 from limbcli.progress import Progress
@@ -224,6 +225,29 @@ def test_forces_are_a_function_of_the_state(friction: float, rng: np.random.Gene
     assert np.abs(deeper.residual - first.residual).max() > np.abs(first.residual).max()
     np.testing.assert_array_equal(system.forces(state).residual, first.residual)
     np.testing.assert_array_equal(system.contact_change(first.contact, v), change)
+
+
+def test_the_penalty_of_a_curved_triangle_is_along_the_normal_of_its_first_corner(
+    rng: np.random.Generator,
+) -> None:
+    """As in FEBio 4.11: its stiffness depends on the direction. Area and volume are the curved ones."""
+    model = punch("tet10", (3, 2, 2))
+    x = model.mesh.points.copy()
+    ((_, skin),) = model.mesh.surfaces[model.contacts[0].primary].facets.items()
+    bent = np.unique(skin[:, 3:])
+    x[bent, 2] += 0.3 * rng.uniform(-1.0, 1.0, len(bent))
+    system = System(replace(model, mesh=replace(model.mesh, points=x)), threads=1)
+    (patch,) = system.pairs[0].patches
+    a, b, c, ab, _, ca = np.moveaxis(x[patch.facets], 1, 0)
+    normal = np.cross(4 * ab - 3 * a - b, 4 * ca - 3 * a - c)
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    program = system.groups[0].material.program(1, system.curve_at_first)
+    S, C = np.zeros((1, 6)), np.zeros((1, 6, 6))
+    _evaluate(np.eye(3)[None], program.ops, program.par[:1], S, C, True)
+    E = penalty_modulus(np.repeat(C, len(normal), axis=0), normal)
+    assert E.max() > 1.05 * E.min()
+    volumes = system.groups[0].weight[patch.cell].sum(axis=1)
+    np.testing.assert_allclose(patch.eps, model.contacts[0].penalty * E * patch.areas / volumes, rtol=1e-9)
 
 
 def test_augmentations_go_on_as_febios() -> None:

@@ -115,11 +115,15 @@ def test_the_tangent_of_a_concave_rigid_side_agrees_with_differences(
 
 
 def test_a_socket_around_a_whole_limb_is_not_eliminated_last() -> None:
-    """Its dense front would outgrow the memory."""
+    """Its dense front would outgrow the memory, or cost as much as all the rest."""
     few = System(tube(SMALL, n=(1, 8, 1)), threads=1)
     assert 0 < len(few.within_reach()) < 300
     many = System(tube(SMALL, n=(1, 200, 8)), threads=1)
     assert len(many.within_reach()) == 0
+    a_tenth = System(tube(SMALL, n=(12, 60, 6)), threads=1)
+    assert 1_000 < len(a_tenth.within_reach()) <= 0.1 * a_tenth.n_tissue
+    a_third = System(tube(SMALL, n=(2, 60, 6)), threads=1)
+    assert len(a_third.within_reach()) == 0
 
 
 def test_a_block_between_plates_is_dragged_by_friction_times_the_squeeze() -> None:

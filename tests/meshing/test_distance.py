@@ -24,6 +24,13 @@ def test_distance_to_a_sphere(make_ball, grid):
     assert np.abs(field.values - exact).max() < 1.2
 
 
+def test_samples_near_places_are_found(grid, rng):
+    """Against all distances; places also lie beyond the grid."""
+    places = rng.uniform(-26.0, 26.0, (12, 3))
+    away = np.linalg.norm(grid.points()[..., None, :] - places, axis=-1).min(axis=-1)
+    np.testing.assert_array_equal(grid.near(places, 4.3), away < 4.3)
+
+
 def test_overlapping_bodies_are_one(make_ball, grid):
     field = signed_distance(join([make_ball((-4, 0, 0), 8.0), make_ball((4, 0, 0), 8.0)]), grid)
     places = np.array([[0.0, 0, 0], [10, 0, 0], [-10, 0, 0], [0, 10, 0]])

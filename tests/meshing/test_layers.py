@@ -8,7 +8,7 @@ import pytest
 from limbcli.errors import CaseError
 from limbcli.meshing.checks import layers_kept
 from limbcli.meshing.crop import crop_planes
-from limbcli.meshing.domain import boundary, make_domain
+from limbcli.meshing.domain import make_domain
 from limbcli.meshing.frame import site_frame
 from limbcli.meshing.layers import core_of, layers_of, open_ended
 from limbcli.meshing.mending import mend
@@ -77,7 +77,7 @@ def test_layers_reach_into_the_corners_of_four_cuts(made_axial):
     assert np.abs(made_axial.domain.skin.at(mesh.points[mesh.node_sets["skin"]])).max() < 0.3
     assert made_axial.quality.inverted_cells == 0
     total = sum(volumes(mesh.points, block.cells).sum() for block in mesh.solid_blocks)
-    assert total == pytest.approx(boundary(made_axial.domain).volume, rel=0.02), "nothing overlaps"
+    assert total == pytest.approx(made_axial.domain.boundary.volume, rel=0.02), "nothing overlaps"
 
 
 def test_layers_are_as_thick_at_the_limbs_cut_end_as_in_its_middle(make_tube):

@@ -25,12 +25,12 @@ PROBE = ProbeShape(40.0, 14.0, 3.0)
 BEHIND = (0.0, 40.0, 80.0)
 
 
-def with_probe(mesh: Mesh, frame: SiteFrame, bones: list[str]) -> LimbModel:
+def with_probe(mesh: Mesh, frame: SiteFrame, bones: list[str], shape: ProbeShape = PROBE) -> LimbModel:
     """A limb's mesh in a site's frame, with the probe at first touch, bones fixed and the cut held."""
     points = mesh.points @ frame.to_model[:3, :3].T + frame.to_model[:3, 3]
-    rigid, first = probe_mesh(PROBE), len(points)
+    rigid, first = probe_mesh(shape), len(points)
     ((kind, facets),) = mesh.surfaces["skin"].facets.items()
-    near = reachable(points, facets[:, :3], PROBE)
+    near = reachable(points, facets[:, :3], shape)
     probe = {"quad4": rigid.quads + first, "tri3": rigid.tips + first}
     blocks = (
         *mesh.blocks,

@@ -6,9 +6,10 @@ import numpy as np
 import pytest
 
 from limbcli.meshing.crop import crop_planes
-from limbcli.meshing.domain import BONE, CUT, SKIN, boundary, make_domain
-from limbcli.meshing.facets import edges_of
+from limbcli.meshing.domain import BONE, CUT, SKIN, make_domain
+from limbcli.meshing.facets import edges_of, faces_round
 from limbcli.meshing.frame import site_frame
+from limbcli.meshing.improve import FIXED, FREE, NodeConstraints
 from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Boundary, Sizes, bad_places, remesh, size_field
@@ -23,7 +24,7 @@ def made(leg):
     frame = site_frame(leg, np.array([0.0, 42.0, 0.0]), "transverse", PROBE)
     local = leg.moved(frame.to_model)
     domain = make_domain(local, crop_planes(local, PROBE, 25.0), spacing=1.5)
-    fine = boundary(domain)
+    fine = domain.boundary
     field = size_field(domain, PROBE, Sizes(3.0, 9.0))
     return domain, fine, field, remesh(fine, domain, field)
 
@@ -52,6 +53,35 @@ def test_surface_is_closed_and_does_not_cross_itself(made):
     edges, _ = edges_of(graded.surface.faces)
     assert len(edges) * 2 == len(graded.surface.faces) * 3
     assert len(bad_places(graded)) == 0
+
+
+def test_edges_and_faces_round_nodes_are_those_of_a_plain_search(leg, rng):
+    """Twin: by loops, on a surface whose nodes and faces are in no order."""
+    bone = leg.bones[0]
+    n = len(bone.points) + 1  # one node belongs to no face
+    faces = rng.permutation(n)[rng.permutation(bone.faces)]
+    sides: dict[tuple[int, int], list[int]] = {}
+    round_node: list[list[int]] = [[] for _ in range(n)]
+    for f, face in enumerate(faces.tolist()):
+        for k in range(3):
+            ends = sorted((face[k], face[(k + 1) % 3]))
+            sides.setdefault((ends[0], ends[1]), []).append(f)
+            round_node[face[k]].append(f)
+    found = edges_of(faces)
+    np.testing.assert_array_equal(found[0], sorted(sides))
+    np.testing.assert_array_equal(found[1], [sides[each] for each in sorted(sides)])
+    around, start = faces_round(faces, n)
+    assert [each.tolist() for each in np.split(around, start[1:-1])] == round_node
+
+
+def test_a_node_is_held_by_the_labels_that_meet_at_it():
+    faces, labels = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4], [2, 4, 5]]), np.array([CUT, SKIN, BONE, BONE])
+    codes = NodeConstraints.of_faces(7, faces, labels).codes.tolist()
+    assert codes[0] == [CUT, FREE]
+    assert codes[1] == [SKIN, CUT]
+    assert codes[2][0] == FIXED
+    assert codes[3] == [SKIN, BONE]
+    assert codes[4:] == [[BONE, FREE], [BONE, FREE], [FREE, FREE]]
 
 
 def test_edges_have_the_length_asked_for(made):
@@ -98,7 +128,7 @@ def test_a_cleft_between_bones_takes_as_few_facets_as_asked_for(make_tube):
     frame = site_frame(limb, np.array([0.0, 42.0, 0.0]), "transverse", PROBE)
     local = limb.moved(frame.to_model)
     domain = make_domain(local, crop_planes(local, PROBE, 25.0), spacing=1.5)
-    fine, found = boundary(domain), []
+    fine, found = domain.boundary, []
     for thin in (0.0, 6.0):
         graded = remesh(fine, domain, size_field(domain, PROBE, Sizes(5.0, 14.0, bends=8.0, thin=thin)))
         assert graded.surface.volume == pytest.approx(fine.volume, rel=0.02)

@@ -11,7 +11,7 @@ from limbcli.errors import MeshError, ToolError
 from limbcli.meshing import mesher_process
 from limbcli.meshing import site_mesher as volume
 from limbcli.meshing.distance import Field, Grid
-from limbcli.meshing.domain import CUT, SKIN, TissueDomain, boundary
+from limbcli.meshing.domain import CUT, SKIN, TissueDomain
 from limbcli.meshing.mending import Plane
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.probe import ProbeShape
@@ -103,7 +103,7 @@ def test_site_whose_surface_tetgen_refuses_is_meshed_by_ftetwild(leg, monkeypatc
     monkeypatch.setattr(volume, "unfold", lambda graded, _domain: graded)
     monkeypatch.setattr(volume, "bad_places", lambda _graded: np.zeros((0, 3)))
     monkeypatch.setattr(volume, "remesh", pierced)
-    monkeypatch.setattr(volume, "_remeshed_or_not", lambda d, f, _t: remesh(boundary(d), d, f).surface)
+    monkeypatch.setattr(volume, "_remeshed_or_not", lambda d, f, _t: remesh(d.boundary, d, f).surface)
     sizes = Sizes(under_probe=5.0, far=12.0)
     options = MeshOptions(element="tet4", sizes=sizes, margin=15.0, spacing=2.0)
     found = site_model(leg, (0.0, -40.0, 0.0), "transverse", PROBE, options)

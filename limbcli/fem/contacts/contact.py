@@ -119,7 +119,9 @@ def _patch(model: LimbModel, kind: str, facets: IntArray, groups: Sequence[Group
     tangents = np.einsum("fni,gnd->fgdi", X, dN)
     area_vectors = np.cross(tangents[:, :, 0], tangents[:, :, 1])
     area = np.linalg.norm(area_vectors, axis=2) @ weights
-    normals = np.einsum("fgi,g->fi", area_vectors, weights)
+    # as FEBio's automatic penalty does: in a curved triangle, that of its first corner
+    first, second = np.moveaxis(np.einsum("fni,nd->fdi", X, shape(kind, np.zeros((1, 2)))[1][0]), 1, 0)
+    normals = np.cross(first, second)
     normals /= np.linalg.norm(normals, axis=1)[:, None]
     group, cell = _cells_behind(facets[:, : _CORNERS[kind]], groups, contact)
     volume = np.empty(len(facets))

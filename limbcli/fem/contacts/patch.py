@@ -16,7 +16,8 @@ class Patch:
 
     N, dN, weights : shape functions, their derivatives, and weights of the integration rule
     group, cell : cell group behind each facet, and the cell's row in it
-    areas (mm^2), ratio (facet area over volume of the cell behind, 1/mm), normals : reference configuration
+    areas (mm^2), ratio (facet area over volume of the cell behind, 1/mm), normals (unit, where both natural
+        coordinates are 0) : reference configuration
     eps (n_facets,) : penalty, MPa/mm; multiplier (n_facets, n_gauss) : of augmented contact, MPa
     """
 

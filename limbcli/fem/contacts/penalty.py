@@ -2,7 +2,10 @@
 
 The penalty of a facet is eps = penalty x E x A / V, evaluated once in the reference configuration: E is the
 stiffness of the law along the facet's normal (see `materials.stress.penalty_modulus`), A the facet's area,
-V the volume of the cell behind it.
+V the volume of the cell behind it. The normal is that where both natural coordinates are 0: the middle of a
+quadrilateral, but the first corner of a triangle, which matters if it is curved.
+
+Source: FEBio 4.11, FEContactInterface::AutoPenalty.
 """
 
 from __future__ import annotations
