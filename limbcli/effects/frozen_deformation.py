@@ -46,8 +46,8 @@ class Averages(Protocol):
 
 
 class SpeedRegion(Protocol):
-    """The scanner's region: from speeds (..., n_pixels) at its pixels to ln mean speeds (..., 1 + n_parts) of the
-    whole region and its parts."""
+    """The scanner's region: from speeds at its pixels (..., n_pixels) to ln mean speeds of the whole region and
+    its parts (..., 1 + n_parts)."""
 
     def log_means_of(self, speed_m_per_s: Array) -> Array: ...
 

@@ -144,8 +144,8 @@ class Windows:
         return offsets, np.prod(list(product(_BLUR_WEIGHT, _SLICE_WEIGHT, _BLUR_WEIGHT)), axis=1)
 
     def log_means_of(self, speed_m_per_s: Array) -> Array:
-        """ln of the mean speed of the whole and of every part (..., 1 + n_parts), from speeds (..., n_pixels) at
-        `pixels`."""
+        """ln of the mean speed of the whole and of every part (..., 1 + n_parts), from speeds at `pixels`
+        (..., n_pixels)."""
         table = speed_m_per_s.reshape(*speed_m_per_s.shape[:-1], self.n_parts, -1)
         known = np.isfinite(table) & (table > 0)  # a linear fit through few elements may be negative
         counts = known.sum(axis=-1)
