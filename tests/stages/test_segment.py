@@ -25,6 +25,7 @@ from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.segment import edited_labels, segment
 from tests.meshing.conftest import tube
+from tests.stages.coarse_surfaces import coarse_surfaces
 
 pytestmark = pytest.mark.slow
 
@@ -40,6 +41,13 @@ def case_with(folder, **imaging):
         sites=(),
         raw={},
     )
+
+
+@pytest.fixture(scope="module", autouse=True)
+def quick():
+    with pytest.MonkeyPatch.context() as patch:
+        coarse_surfaces(patch)
+        yield
 
 
 @pytest.fixture(scope="module")
