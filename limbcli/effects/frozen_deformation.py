@@ -46,8 +46,8 @@ class Averages(Protocol):
 
 
 class SpeedRegion(Protocol):
-    """The scanner's region: from speeds at its pixels (..., n_pixels) to ln mean speeds of the whole region and
-    its parts (..., 1 + n_parts)."""
+    """The scanner's region: from speeds at its pixels (..., n_pixels) to ln mean speeds of the whole region
+    and its parts (..., 1 + n_parts)."""
 
     def log_means_of(self, speed_m_per_s: Array) -> Array: ...
 
