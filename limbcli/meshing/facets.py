@@ -13,6 +13,7 @@ from limbcli.meshing.facet_kernels import collapse_edges, flip_edges
 from limbcli.meshing.surfaces import undirected
 from limbcli.model import Array, IntArray
 
+_BITS = 64  # of the integers that are sorted
 _LONG, _SHORT = 1.35, 0.78  # fractions of the target length: longer edges are split, shorter ones collapsed
 
 
@@ -39,12 +40,12 @@ def _stable_order(keys: IntArray) -> IntArray:
     >>> _stable_order(np.array([2, 0, 2, 1, 0])).tolist()
     [1, 4, 3, 0, 2]
     """
-    n = len(keys)
-    if int(keys.max(initial=0)) >= np.iinfo(np.int64).max // max(n, 1) - 1:
+    bits = len(keys).bit_length()
+    if int(keys.max(initial=0)).bit_length() + bits >= _BITS:
         return np.argsort(keys, kind="stable")
-    both = keys * n + np.arange(n)
+    both = (keys << bits) | np.arange(len(keys))
     both.sort()
-    return np.asarray(both % max(n, 1), dtype=np.int64)
+    return np.asarray(both & ((1 << bits) - 1))
 
 
 def split_long(
