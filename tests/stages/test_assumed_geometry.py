@@ -33,9 +33,8 @@ from limbcli.stages.segmenting.assumed_geometry import assumed_limb
 from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.synth import synth
-from tests.stages.coarse_surfaces import coarse_surfaces
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse")]
 
 SHAPE = "shape = { circumference_mm = 200, skin_mm = 1.5, fat_mm = 4.5, muscle_mm = 9, bone_radius_mm = 9 }"
 SCAN = 'skin = "skin.stl"\nbone = "from-ultrasound"\nbone_radius_mm = 9'
@@ -94,13 +93,6 @@ def beam_length(folder: Path, point: np.ndarray) -> float:
     bone = read_surface(folder / "bone_1.ply")
     nearest = closest_on_triangles(point, bone.points[bone.faces])
     return float(np.linalg.norm(nearest - point, axis=1).min())
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    with pytest.MonkeyPatch.context() as patch:
-        coarse_surfaces(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -22,17 +22,10 @@ from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.simulated_subjects.synth_case import borders_at_rest
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.synth import synth, truth_file
-from tests.stages.coarse_surfaces import coarse_surfaces
 from tests.stages.test_assumed_geometry import numbers
 
+pytestmark = pytest.mark.usefixtures("coarse")
 NAMES = ("adipose-layer", "force-zero", "depth-zero")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    with pytest.MonkeyPatch.context() as patch:
-        coarse_surfaces(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

@@ -15,16 +15,9 @@ from limbcli.stages.check import check
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.label_maps import labelled_limb
 from tests.conftest import REPOSITORY
-from tests.stages.coarse_surfaces import coarse_surfaces
 
+pytestmark = pytest.mark.usefixtures("coarse")
 CASE = REPOSITORY / "cases" / "phantom"
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    with pytest.MonkeyPatch.context() as patch:
-        coarse_surfaces(patch)
-        yield
 
 
 @pytest.fixture(scope="module")

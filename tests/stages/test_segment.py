@@ -25,9 +25,8 @@ from limbcli.progress import Progress
 from limbcli.results import read_result
 from limbcli.stages.segment import edited_labels, segment
 from tests.meshing.conftest import tube
-from tests.stages.coarse_surfaces import coarse_surfaces
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse")]
 
 
 def case_with(folder, **imaging):
@@ -41,13 +40,6 @@ def case_with(folder, **imaging):
         sites=(),
         raw={},
     )
-
-
-@pytest.fixture(scope="module", autouse=True)
-def quick():
-    with pytest.MonkeyPatch.context() as patch:
-        coarse_surfaces(patch)
-        yield
 
 
 @pytest.fixture(scope="module")
