@@ -46,7 +46,8 @@ class Averages(Protocol):
 
 
 class SpeedRegion(Protocol):
-    """The scanner's region: from speeds at its pixels to ln mean speeds of the whole region and its parts."""
+    """The scanner's region: from speeds at its pixels (..., n_pixels) to ln mean speeds of the whole region
+    and its parts (..., 1 + n_parts)."""
 
     def log_means_of(self, speed_m_per_s: Array) -> Array: ...
 
@@ -77,30 +78,25 @@ class ScannerView:
     weight: Array
     region: SpeedRegion
 
-    def log_means(self, speed_m_per_s: Array, stiffness: Sequence[Stiffness] = ()) -> Array:
-        """ln mean speeds (n_parts,) from speeds at points (n_points,), the law's stiffnesses multiplied by
-        fields."""
-        return self.with_fields(self.averages(speed_m_per_s), stiffness)
-
     def with_fields(
         self,
         at_pixels: Array,
         stiffness: Sequence[Stiffness],
         concentration: StrainConcentration | None = None,
     ) -> Array:
-        """The same from speeds at pixels (n_pixels,).
+        """Speeds at pixels (n_pixels,) of the law, with its stiffnesses multiplied by fields.
 
         concentration : of these fields, at this depth
         """
         if not stiffness:
-            return self.region.log_means_of(at_pixels)
+            return at_pixels
         factor = np.asarray(math.prod(each(self.places) for each in stiffness))
         times = np.sqrt(factor)
         if concentration is not None:
             mean = np.nan_to_num(self.averages(concentration.factor), nan=1.0)
             change = concentration.slope * (factor - mean[:, None])
             times = times * np.exp(np.clip(change, -_LARGEST_CORRECTION, _LARGEST_CORRECTION))
-        return self.region.log_means_of(at_pixels * (times @ self.weight))
+        return np.asarray(at_pixels * (times @ self.weight))
 
 
 @dataclass(eq=False)
@@ -210,11 +206,13 @@ def frozen_speed(
     """
     speeds = kinematics.pixel_speeds(model, density_kg_per_m3=density_kg_per_m3)
     each_depth: Sequence[StrainConcentration | None] = concentrations or [None] * len(speeds)
-    rows = [
+    at_pixels = [
         seen.with_fields(row, stiffness, concentration)
         for seen, row, concentration in zip(kinematics.seen, speeds, each_depth, strict=True)
     ]
-    return np.array(rows).reshape(len(kinematics.depth), -1)
+    if not at_pixels:
+        return np.zeros((len(kinematics.depth), 0))
+    return kinematics.seen[0].region.log_means_of(np.array(at_pixels))
 
 
 def strain_concentrations(

@@ -107,7 +107,8 @@ def read(
     array([1., 9.])
     """
     depth = true_depth(curves, protocol.depth, reading)
-    force = relaxed(curves, depth, protocol, reading) - borne_at_zero(curves, reading)
+    force = relaxed(force_at(curves, depth), curves, depth, protocol, reading)
+    force = force - borne_at_zero(curves, reading)
     if with_speeds:
         speed = _speeds(curves, depth, reading)
     else:
@@ -125,15 +126,14 @@ def read(
     return shown
 
 
-def relaxed(curves: Curves, depth: Array, protocol: Protocol, reading: Reading) -> Array:
-    """Force (N) at the end of each hold (n_levels,), with relaxation and drainage, from the curve of fully
-    relaxed but undrained tissue.
+def relaxed(elastic: Array, curves: Curves, depth: Array, protocol: Protocol, reading: Reading) -> Array:
+    """Force (N) at the end of each hold (n_levels,), with relaxation and drainage.
 
+    elastic : (n_levels,) of fully relaxed but undrained tissue: `force_at` of these curves and depths
     depth : (n_levels,) of the probe since first touch (mm)
 
     Under a preload the tissue is assumed to be in equilibrium beforehand.
     """
-    elastic = force_at(curves, depth)
     force = elastic
     for share, tau in reading.prony:  # F_e + sum_i g_i int exp(-(t - s)/tau_i) dF_e/ds ds (g0 = 1)
         force = force + share * remembered(elastic, protocol, tau, rest=reading.preload)

@@ -75,7 +75,7 @@ class StateCurve:
         stretched = np.full((1, len(self.ways)), 1.1)
         self._felt = [
             k for k in range(len(shape))
-            if self._even_speeds(_moved(shape, k, 0.1), stretched) != self._even_speeds(shape, stretched)
+            if self.even_speeds(_moved(shape, k, 0.1), stretched) != self.even_speeds(shape, stretched)
         ]  # fmt: skip
         first = self.in_state(self._model, np.r_[shape, np.ones(len(self.ways))], c=c)
         self._session = ReferenceSession(self._eased(first), progress=progress, threads=threads)
@@ -154,29 +154,39 @@ class StateCurve:
         shape, stretches = theta[: self.n_shape], theta[self.n_shape :]
         n, slopes = len(stretches), np.zeros(len(theta))
         moved = np.exp(_STEP * np.vstack([np.zeros(n), np.eye(n), -np.eye(n)]))
-        found = self._even_speeds(shape, stretches * moved)
-        slopes[self.n_shape :] = (found[1 : 1 + n] - found[1 + n :]) / (2 * _STEP)
-        for k in self._felt:
-            up, down = (
-                self._even_speeds(_moved(shape, k, step), stretches[None]) for step in (_STEP, -_STEP)
-            )
-            slopes[k] = (up[0] - down[0]) / (2 * _STEP)
+        shapes = [_moved(shape, k, step) for k in self._felt for step in (_STEP, -_STEP)]
+        found = self._even_speeds((shape, stretches * moved), *((each, stretches[None]) for each in shapes))
+        up, down = found[1 : 1 + n], found[1 + n : 1 + 2 * n]
+        slopes[self.n_shape :] = (up - down) / (2 * _STEP)
+        up, down = found[1 + 2 * n :].reshape(-1, 2).T
+        slopes[list(self._felt)] = (up - down) / (2 * _STEP)
         return float(found[0]), slopes
 
     def even_speeds(self, shape: Array, stretches: Array) -> Array:
         """ln of the speed (n,) in uniformly stretched tissue at c0, for stretches (n, n_ways) of `ways`."""
-        return self._even_speeds(np.asarray(shape), np.asarray(stretches))
+        return self._even_speeds((np.asarray(shape), np.asarray(stretches)))
 
-    def _even_speeds(self, shape: Array, stretches: Array) -> Array:
-        law, pairs = self._even.material(self._c, shape), self._pairs(stretches)
-        terms = ogden.terms_of(law)
-        if terms is None or self._aligned is None:
-            F = np.array([self.axes.gradient(*each) for each in pairs])
-            cells = np.zeros(len(F), dtype=np.int64)
-            found = material_speeds(law, F, cells, n_cells=1, density_kg_per_m3=self._density)
-            return np.asarray(np.log(np.nan_to_num(found, nan=_NO_WAVE)))
-        modulus = ogden.principal_modulus(terms, pairs[:, self._aligned], 1.0 / (pairs[:, 0] * pairs[:, 1]))
+    def _even_speeds(self, *given: tuple[Array, Array]) -> Array:
+        """The same (n,) for several shapes, each with stretches (n_each, n_ways), one after the other."""
+        laws = [self._even.material(self._c, shape) for shape, _ in given]
+        pairs = [self._pairs(stretches) for _, stretches in given]
+        terms = [each for law in laws if (each := ogden.terms_of(law)) is not None]
+        if len(terms) < len(laws) or self._aligned is None:
+            return np.concatenate([self._by_tensor(*each) for each in zip(laws, pairs, strict=True)])
+        row = np.repeat(np.arange(len(terms)), [len(each) for each in pairs])
+        each_row = ogden.OgdenTerms(
+            np.vstack([each.c for each in terms])[row], np.vstack([each.m for each in terms])[row]
+        )
+        both = np.concatenate(pairs)
+        modulus = ogden.principal_modulus(each_row, both[:, self._aligned], 1.0 / (both[:, 0] * both[:, 1]))
         return np.asarray(0.5 * np.log(modulus / mpa_from_pa(self._density)))
+
+    def _by_tensor(self, law: Material, pairs: Array) -> Array:
+        """The same for one law, with the stretches along and around (n, 2), by the acoustic tensor."""
+        F = np.array([self.axes.gradient(*each) for each in pairs])
+        cells = np.zeros(len(F), dtype=np.int64)
+        found = material_speeds(law, F, cells, n_cells=1, density_kg_per_m3=self._density)
+        return np.asarray(np.log(np.nan_to_num(found, nan=_NO_WAVE)))
 
     def _pairs(self, stretches: Array) -> Array:
         """Stretches (n, 2) along and around, from those of `ways` (n, n_ways)."""

@@ -22,6 +22,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats.triangle_files import read_triangles
 
+SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the triangles, as usual
 SMOOTH = 0.7  # mm: standard deviation of the Gaussian smoothing of the distance field
 _SHARE_OF_SLICE = 0.45  # ... or this fraction of the slice spacing, if that is more
 

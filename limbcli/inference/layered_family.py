@@ -101,22 +101,23 @@ class OfTissue:
         up = np.arange(self.table.shape[1])
         a, b = u[..., [0]] ** up, u[..., [1]] ** up
         middle, by_ratio = trend(self.shares, inside[..., 0])
-        values = middle + np.einsum("...ni,...nj,nijq->...nq", a, b, self.table, optimize=True)
         if not slopes:
+            values = middle + self._polynomials((a, b))[..., 0, :]
             return values, np.empty((*values.shape, 0))
         rate = np.maximum(up - 1, 0)
         by_a, by_b = up * u[..., [0]] ** rate, up * u[..., [1]] ** rate
-        found = np.stack(
-            [
-                np.einsum("...ni,...nj,nijq->...nq", by_a, b, self.table, optimize=True),
-                np.einsum("...ni,...nj,nijq->...nq", a, by_b, self.table, optimize=True),
-            ],
-            axis=-1,
-        )
+        found = self._polynomials((a, b), (by_a, b), (a, by_b))
+        values, found = middle + found[..., 0, :], np.moveaxis(found[..., 1:, :], -2, -1)
         within = (tissue > low) & (tissue < high)
         found = found * (2.0 / (high - low))
         found[..., 0] += by_ratio
         return values, found * within[..., None, :]
+
+    def _polynomials(self, *monomials: tuple[Array, Array]) -> Array:
+        """Values (..., n, n_given, 4) at pairs of monomials (..., n, degree + 1) of ln ratio and of ln m."""
+        pairs = np.stack([one[..., :, None] * other[..., None, :] for one, other in monomials], axis=-3)
+        flat = self.table.reshape(len(self.table), -1, self.table.shape[-1])
+        return np.asarray(pairs.reshape(*pairs.shape[:-2], -1) @ flat)
 
 
 def is_inside(x: Array) -> NDArray[np.bool_]:

@@ -41,9 +41,9 @@ class Triangles:
     @property
     def point_normals(self) -> Array:
         """Unit normals (n, 3), weighted by the areas of the faces at a point; 0 at points without faces."""
-        found = np.zeros_like(self.points, dtype=float)
+        found, normals = np.zeros_like(self.points, dtype=float), self.area_vectors
         for column in self.faces.T:
-            np.add.at(found, column, self.area_vectors)
+            np.add.at(found, column, normals)
         return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
 
     @property
@@ -154,7 +154,8 @@ def undirected(edges: IntArray) -> IntArray:
     >>> undirected(np.array([[0, 3], [3, 0], [1, 2]])).tolist()
     [3, 3, 6]
     """
-    low, high = np.sort(edges.astype(np.int64), axis=1).T
+    a, b = edges.astype(np.int64).T
+    low, high = np.minimum(a, b), np.maximum(a, b)
     return np.asarray(low * (high.max(initial=0) + 1) + high)
 
 

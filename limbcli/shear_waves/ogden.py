@@ -82,9 +82,13 @@ def terms_of(material: Material, cells: IntArray | None = None) -> OgdenTerms | 
         stiffness = value.values[cells] if mapped else value  # type: ignore[union-attr]
         if not isinstance(stiffness, int | float | np.ndarray) or not isinstance(exponent, int | float):
             return None
-        c.append(np.broadcast_to(np.asarray(stiffness, dtype=float), 1 if cells is None else cells.shape))
+        c.append(stiffness)
         m.append(float(exponent))
-    return OgdenTerms(np.stack(c, axis=-1), np.array(m)) if c else None
+    if not c:
+        return None
+    if cells is None:
+        return OgdenTerms(np.array([c], dtype=float), np.array(m))
+    return OgdenTerms(np.stack([np.broadcast_to(each, cells.shape) for each in c], axis=-1), np.array(m))
 
 
 def principal_modulus(terms: OgdenTerms, along: Array, moving: Array) -> Array:
@@ -92,18 +96,18 @@ def principal_modulus(terms: OgdenTerms, along: Array, moving: Array) -> Array:
 
     rho0 v^2 = l^2 (f(l) - f(q)) / (l^2 - q^2), f(l) = sum c_k / m_k l^(m_k), with the stretches l along the
     wave and q along the polarisation; `acoustic_tensor` gives the same for a wave along a principal axis.
-    along, moving (n,) > 0; the c_k must be uniform.
+    along, moving (n,) > 0; c, and here also m, are (n_terms,) or (n, n_terms).
 
     Source: Ogden 1984, Non-Linear Elastic Deformations, eq. 6.4.21 ff.
 
     >>> principal_modulus(OgdenTerms.one_pair(c=0.008, m=2.0), np.array([1.0, 1.2]), np.array([1.0, 1.0]))
     array([0.004  , 0.00488])
     """
-    c, m = np.atleast_2d(terms.c)[:1], terms.m
+    c, m = terms.c, terms.m
     # powers are written as hyperbolic functions to avoid 0 / 0
     middle = 0.5 * np.log(np.asarray(along) * moving)[:, None]
     half = 0.5 * np.log(np.asarray(along) / moving)[:, None]
-    rise = np.sum(c / m * np.exp(m * middle) * _sinh_ratio(m * half) * m, axis=1)
+    rise = np.sum(c * np.exp(m * middle) * _sinh_ratio(m * half), axis=1)
     return np.asarray(along**2 * rise / (2.0 * np.exp(2.0 * middle) * _sinh_ratio(2.0 * half))[:, 0])
 
 

@@ -23,7 +23,6 @@ FILE = "material_lines.csv"
 _TETRAHEDRA = ("tet4", "tet10")
 _ITERATIONS, _SETTLED = 12, 1e-12  # of Newton's method for natural coordinates: limit; tolerance in mm
 _OUTSIDE = 1e-6  # tolerance, in natural coordinates or mm, for points on the boundary of a cell
-_STEP = 1e-4  # mm, of the difference quotient for the slopes
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,13 +33,11 @@ class MaterialLines:
     items (n_items,) : nodes whose displacements determine the lines and the skin point
     weights (n_lines, n_items) : interpolation weights, skin minus line, so that the depth below the skin is
         rest + weights @ u_z
-    slopes (n_lines, n_items) : d weights / d rest, 1/mm
     """
 
     rest: Array
     items: IntArray
     weights: Array
-    slopes: Array
 
     @property
     def record(self) -> LogRecord:
@@ -50,10 +47,6 @@ class MaterialLines:
     def below_skin(self, u_z: Array) -> Array:
         """Depths below the skin (..., n_lines), mm, from displacements (..., n_items) of `items` along z."""
         return np.asarray(self.rest + u_z @ self.weights.T)
-
-    def by_rest(self, u_z: Array) -> Array:
-        """d(below_skin) / d(rest) (..., n_lines): stretch of the tissue along the beam at the line."""
-        return np.asarray(1.0 + u_z @ self.slopes.T)
 
     def drift(self, u: Array) -> float:
         """Largest lateral offset (mm) of a line from the skin point, for u (n_times, n_items, 3)."""
@@ -111,20 +104,16 @@ def material_lines(model: LimbModel, rest: Array) -> MaterialLines:
             where="layers on the beam",
             fix="check the layers of level 0 in levels.csv against skin_bone_mm, and the site's position",
         )
-    heights = [top, *(top - within), *(top - np.maximum(within - _STEP, 0.0))]
-    rows = [column.weights(float(z)) for z in heights]
+    rows = [column.weights(float(z)) for z in (top, *(top - within))]
     items = np.unique(np.concatenate([nodes for nodes, _ in rows]))
     table = np.zeros((len(rows), len(items)))
     for k, (nodes, values) in enumerate(rows):
         np.add.at(table[k], np.searchsorted(items, nodes), values)
-    n, known = len(within), np.isfinite(rest)
+    known = np.isfinite(rest)
     weights = np.tile(table[0], (len(rest), 1))
-    weights[known] -= table[1 : n + 1]
-    slopes = np.zeros_like(weights)
-    steps = np.minimum(within, _STEP)
-    slopes[known] = -(table[1 : n + 1] - table[n + 1 :]) / np.where(steps > 0, steps, 1.0)[:, None]
+    weights[known] -= table[1:]
     depths = np.where(known, rest, top - bottom)
-    return MaterialLines(depths, items, weights, slopes)
+    return MaterialLines(depths, items, weights)
 
 
 class _Column:

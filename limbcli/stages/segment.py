@@ -28,7 +28,7 @@ from limbcli.imaging.marker_skin import without_bumps
 from limbcli.imaging.picture import contact_sheet
 from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, SegmentationHints, segment_limb
-from limbcli.imaging.surface import SMOOTH, surface_of
+from limbcli.imaging.surface import BONE_EDGE, SKIN_EDGE, SMOOTH, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.meshing.surfaces import Triangles
 from limbcli.progress import SILENT, Progress
@@ -40,7 +40,6 @@ from limbcli.stages.segmenting.label_maps import labelled_limb
 from limbcli.stages.segmenting.places import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_skin_aop, write_surfaces
 
-SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the surfaces' triangles
 # Loss of a bone's volume by smoothing, as a fraction of that in the label map, above which a warning is
 # given; smoothing of the usual width removes less.
 _GONE = 0.15

@@ -110,10 +110,9 @@ def test_missing_case_is_a_message_with_a_fix_and_exit_code_2(capsys, tmp_path: 
     assert "Traceback" not in error_text
 
 
-@pytest.mark.slow
-def test_error_is_json_where_json_was_asked_for(tmp_path: Path):
-    result = limbcli("segment", str(tmp_path / "nowhere"), "--json")
-    content = json.loads(result.stdout)
+def test_error_is_json_where_json_was_asked_for(capsys, tmp_path: Path):
+    _, shown, _ = in_this_process(capsys, "segment", str(tmp_path / "nowhere"), "--json")
+    content = json.loads(shown)
     assert (content["error"], content["exit_code"]) == ("CaseError", 2)
     assert content["fix"]
 
@@ -124,10 +123,10 @@ def test_every_error_family_has_an_exit_code_of_its_own():
     assert sorted(codes) == [1, 2, 3, 4, 5, 6, 7, 70]
 
 
-def test_unknown_option_is_a_usage_error():
-    result = limbcli("segment", "x", "--nonsense")
-    assert result.returncode == 2
-    assert "Traceback" not in result.stderr
+def test_unknown_option_is_a_usage_error(capsys):
+    code, _, error_text = in_this_process(capsys, "segment", "x", "--nonsense")
+    assert code == 2
+    assert "Traceback" not in error_text
 
 
 @pytest.mark.parametrize(

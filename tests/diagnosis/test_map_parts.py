@@ -60,7 +60,8 @@ def test_an_inclusion_shows_where_its_tissue_is_and_as_strongly_as_it_is(rng):
     rest = cells(rng)
     for stretch, below in ((1.0, 8.0), (0.7, 5.6)):
         shown = seen(rest, stretch, depth=0.0)
-        rise = shown.log_means(np.full(len(rest), 2.0), [field])[1:] - np.log(2.0)
+        at_pixels = shown.with_fields(shown.averages(np.full(len(rest), 2.0)), [field])
+        rise = SMALL.log_means_of(at_pixels)[1:] - np.log(2.0)
         x, z = SMALL.middles.T
         away = np.hypot(x * stretch**0.5, (z - below) / stretch)
         assert rise[away < 2.5] == pytest.approx(np.log(2.0), abs=0.12)

@@ -132,9 +132,11 @@ def test_speeds_that_a_line_takes_below_zero_are_not_known():
     windows = Windows(-10.0, 10.0, 2.0, 12.0, 2, 2)
     speed = np.full((4, 4), 2.0)
     speed[1], speed[2, 0] = -0.1, -5.0
-    found = windows.log_means_of(speed.ravel())
+    nothing = np.full(16, np.nan)
+    found, none = windows.log_means_of(np.array([speed.ravel(), nothing]))
     assert np.isnan(found[2])
     assert found[3] == pytest.approx(np.log(2.0))
+    assert np.isnan(none).all()
 
 
 def test_channels_are_those_measured():

@@ -12,13 +12,14 @@ from limbcli.meshing.limb_parts import limb_frame
 from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape, probe_mesh
 from limbcli.meshing.regions import reachable
+from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.meshing.whole_limb import HELD, LimbMeshOptions, limb_mesh
 from limbcli.model import Block, Domain, LimbModel, Mesh, Support, Surface
 from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.session import ReferenceSession
-from tests.meshing.stump import stump
+from tests.meshing.stump import quickly_meshed, stump
 
 START, DEPTH = 0.05, 2.0
 PROBE = ProbeShape(40.0, 14.0, 3.0)
@@ -65,13 +66,15 @@ def force(model: LimbModel) -> float:
 
 
 @pytest.mark.slow
-def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model():
+def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model(monkeypatch):
     """Behind a stump, where 25 mm of tissue lie over the bones."""
     surfaces = stump()
     skin = surfaces.pop("skin")
     limb = mend(skin, list(surfaces.values()))
     frame = site_frame(limb, np.array(BEHIND), "axial", PROBE)
-    local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=40.0))
-    options = LimbMeshOptions(nodes=40_000, fine_at=(BEHIND,))
+    sizes = Sizes(4.0, 16.0, growth=0.8)
+    local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=45.0, sizes=sizes))
+    quickly_meshed(monkeypatch)
+    options = LimbMeshOptions(nodes=8_000, fine_at=(BEHIND,), fine_size=3.5, fine_reach=15.0)
     mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), options).mesh
     assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(force(local.model), rel=0.02)

@@ -19,6 +19,7 @@ from limbcli.stages import segment as segment_module
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.mesh import mesh
 from limbcli.stages.segment import segment
+from tests.stages.coarse_surfaces import coarse_surfaces
 
 CASE = """
 format = 1
@@ -63,7 +64,7 @@ def anatomy() -> Volume:
 
 
 def imaged(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Any series shows the anatomy."""
+    """Any series shows the anatomy, whose surfaces are coarse."""
 
     def found(*_: object, **__: object) -> Segmentation:
         return segmentation_from(anatomy())
@@ -71,6 +72,7 @@ def imaged(monkeypatch: pytest.MonkeyPatch) -> None:
     def series(*_: object, **__: object) -> Series:
         return Series(anatomy())
 
+    coarse_surfaces(monkeypatch)
     monkeypatch.setattr(segment_module, "segment_limb", found)
     monkeypatch.setattr(segment_module, "read_image", series)
 

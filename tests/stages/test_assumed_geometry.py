@@ -34,7 +34,7 @@ from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.synth import synth
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse")]
 
 SHAPE = "shape = { circumference_mm = 200, skin_mm = 1.5, fat_mm = 4.5, muscle_mm = 9, bone_radius_mm = 9 }"
 SCAN = 'skin = "skin.stl"\nbone = "from-ultrasound"\nbone_radius_mm = 9'

@@ -24,6 +24,7 @@ from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.synth import synth, truth_file
 from tests.stages.test_assumed_geometry import numbers
 
+pytestmark = pytest.mark.usefixtures("coarse")
 NAMES = ("adipose-layer", "force-zero", "depth-zero")
 
 

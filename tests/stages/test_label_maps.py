@@ -16,6 +16,7 @@ from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.label_maps import labelled_limb
 from tests.conftest import REPOSITORY
 
+pytestmark = pytest.mark.usefixtures("coarse")
 CASE = REPOSITORY / "cases" / "phantom"
 
 

@@ -26,7 +26,7 @@ from limbcli.results import read_result
 from limbcli.stages.segment import edited_labels, segment
 from tests.meshing.conftest import tube
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse")]
 
 
 def case_with(folder, **imaging):

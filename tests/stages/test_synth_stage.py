@@ -26,6 +26,7 @@ from limbcli.stages.segment import segment
 from limbcli.stages.simulated_subjects.indent import KnownTissue, depths_to
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.synth import synth, truth_file
+from tests.stages.coarse_surfaces import coarse_surfaces
 
 TISSUE = KnownTissue(c_kpa=6.0, f_kappa=20.0, m=6.0)
 EXACT = SynthOptions(
@@ -41,10 +42,12 @@ EXACT = SynthOptions(
 def limb(tmp_path_factory):
     """A phantom without measurements, segmented and meshed coarsely (tet4)."""
     folder = tmp_path_factory.mktemp("synth")
-    options = PhantomOptions(voxel=(1.5, 1.5, 5.0), synth=None, site_names=("p1",), element="tet4")
+    options = PhantomOptions(voxel=(2.0, 2.0, 5.0), synth=None, site_names=("p1",), element="tet4")
     phantom(folder / "limb", options=options)
     case = Case.open(folder / "limb")
-    segment(case, out=folder / "out")
+    with pytest.MonkeyPatch.context() as patch:
+        coarse_surfaces(patch)
+        segment(case, out=folder / "out")
     mesh(case, out=folder / "out", size=5.0, far_size=12.0)
     return folder
 

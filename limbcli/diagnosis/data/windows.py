@@ -144,25 +144,22 @@ class Windows:
         return offsets, np.prod(list(product(_BLUR_WEIGHT, _SLICE_WEIGHT, _BLUR_WEIGHT)), axis=1)
 
     def log_means_of(self, speed_m_per_s: Array) -> Array:
-        """ln of the mean speed of the whole and of every part (1 + n_parts,), from speeds at `pixels`."""
-        table = speed_m_per_s.reshape(self.n_parts, -1)
+        """ln of the mean speed of the whole and of every part (..., 1 + n_parts), from speeds at `pixels`
+        (..., n_pixels)."""
+        table = speed_m_per_s.reshape(*speed_m_per_s.shape[:-1], self.n_parts, -1)
         known = np.isfinite(table) & (table > 0)  # a linear fit through few elements may be negative
-        counts = known.sum(axis=1)
-        total = np.where(known, table, 0.0).sum(axis=1)
-        enough = counts >= _SHARE * table.shape[1]
-        parts = np.where(enough, np.log(np.maximum(total, 1e-9) / np.maximum(counts, 1)), np.nan)
-        return np.concatenate([[self._whole(total, counts)], parts])
+        counts = known.sum(axis=-1)
+        total = np.where(known, table, 0.0).sum(axis=-1)
+        enough = counts >= _SHARE * table.shape[-1]
+        parts = np.where(enough, _log_mean(total, counts), np.nan)
+        return np.concatenate([self._whole(total, counts)[..., None], parts], axis=-1)
 
-    def _whole(self, total: Array, counts: Array) -> float:
-        if not counts.any():
-            return float("nan")
-        every = np.log(total.sum() / counts.sum())
+    def _whole(self, total: Array, counts: IntArray) -> Array:
+        every = _log_mean(total.sum(axis=-1), counts.sum(axis=-1))
         if self.whole_is_known:
-            return float(every)
-        inner = self._inner
-        if not counts[inner].any():
-            return float(every)
-        return float(0.5 * (every + np.log(total[inner].sum() / counts[inner].sum())))
+            return every
+        inner = _log_mean(total[..., self._inner].sum(axis=-1), counts[..., self._inner].sum(axis=-1))
+        return np.where(np.isfinite(inner), 0.5 * (every + inner), every)
 
     def width_uncertainty(self, log_speed: Array) -> Array:
         """Uncertainty of ln mean speed (n,) from the unknown width of the region: half the difference between
@@ -207,6 +204,12 @@ class Windows:
         means = np.where(enough, np.log(np.maximum(total, 1e-9) / np.maximum(counts, 1)), np.nan)
         whole = np.log(swe.speed_m_per_s[inside].mean()) if inside.any() else np.nan
         return np.r_[whole, means], np.r_[inside.sum(), counts]
+
+
+def _log_mean(total: Array, counts: IntArray) -> Array:
+    """ln of means (...,); NaN where nothing was counted."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray(np.log(total / counts))
 
 
 def _along_side(at: Array, low: float, high: float, n_parts: int) -> IntArray:

@@ -86,6 +86,8 @@ class Predictions:
         self.effects: dict[str, Effect] = {
             name: each.measured_by(channels) for name, each in sites[0].effects.items()
         }
+        self._slots: dict[Explanation, tuple[Slot, ...]] = {}  # kept: every prediction asks for them
+        self._priors: dict[Explanation, tuple[Prior, ...]] = {}
         self._join()
 
     def allow_for(self, shares: Mapping[str, float]) -> None:
@@ -114,8 +116,13 @@ class Predictions:
     def simulations(self) -> SiteSimulations:
         return self.sites[0].simulations
 
-    def slots(self, explanation: Explanation) -> list[Slot]:
+    def slots(self, explanation: Explanation) -> tuple[Slot, ...]:
         """The parameters of an explanation, in order."""
+        if explanation not in self._slots:
+            self._slots[explanation] = tuple(self._slots_of(explanation))
+        return self._slots[explanation]
+
+    def _slots_of(self, explanation: Explanation) -> list[Slot]:
         found = []
         for name in explanation:
             effect = self.effects[name]
@@ -204,12 +211,14 @@ class Predictions:
 
     def priors(self, explanation: Explanation) -> tuple[Prior, ...]:
         """Priors of ln c, ln m, and the effects' parameters."""
-        low, high = self.bounds(())
-        return (
-            Prior.uniform(float(low[0]), float(high[0])),
-            Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, float(low[1]), float(high[1])),
-            *(slot.prior for slot in self.slots(explanation)),
-        )
+        if explanation not in self._priors:
+            low, high = self.bounds(())
+            self._priors[explanation] = (
+                Prior.uniform(float(low[0]), float(high[0])),
+                Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, float(low[1]), float(high[1])),
+                *(slot.prior for slot in self.slots(explanation)),
+            )
+        return self._priors[explanation]
 
     def check_channels(self, explanation: Explanation) -> None:
         """

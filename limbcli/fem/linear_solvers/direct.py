@@ -92,10 +92,6 @@ class Pardiso:
         return max(int(self._iparm[14]), int(self._iparm[15]) + int(self._iparm[16])) / 1024.0
 
     @property
-    def factor_entries(self) -> int:
-        return int(self._iparm[17])
-
-    @property
     def n_perturbed(self) -> int:
         """Number of perturbed pivots in the last factor."""
         return int(self._iparm[13])

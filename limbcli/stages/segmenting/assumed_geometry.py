@@ -19,6 +19,7 @@ from limbcli.case.noting import unnoted
 from limbcli.case.parts import Shape
 from limbcli.errors import CaseError
 from limbcli.errors.problems import Problem, errors_of, raise_errors
+from limbcli.imaging.surface import BONE_EDGE, SKIN_EDGE
 from limbcli.meshing.frame import proximal_direction, site_frame
 from limbcli.meshing.mending import Limb, mend, skin_and_bones
 from limbcli.meshing.places import place_problems
@@ -30,7 +31,6 @@ from limbcli.site_model.mesh_checks import measured_skin_bone
 from limbcli.stages.segmenting.surfaces import read_body
 
 LENGTH = 300.0  # mm, length of a limb given by numbers: longer than any usual model with its margin
-SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the triangles, as for imaged surfaces
 # Tolerance of the layers' sum against the skin-bone distance: mm, and standard deviations (the larger).
 _SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0
 _ASIDE = 0.5  # mm, difference from the anterior thickness above which a site is not anterior

@@ -185,10 +185,6 @@ class Multifrontal:
     def memory_mb(self) -> float:
         return self._store.memory_mb
 
-    @property
-    def factor_entries(self) -> int:
-        return len(self._store.kept.parts) + len(self._root.panel)
-
     def close(self) -> None:
         self._team.close()
 
