@@ -14,8 +14,7 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from limbcli.cli.command import command_of
-from limbcli.cli.commands import COMMANDS
+from limbcli.cli.commands import COMMANDS, Command
 from limbcli.cli.error_output import report_error
 from limbcli.cli.fixes import for_command_line
 from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
@@ -49,6 +48,10 @@ def _root(
     pass
 
 
+def _listed() -> None:
+    """A command in the list of all."""
+
+
 def _never_ended(command: Callable[..., None]) -> Callable[..., None]:
     """The command, with an error where a library ends the process (commands themselves raise typer.Exit)."""
 
@@ -63,8 +66,8 @@ def _never_ended(command: Callable[..., None]) -> Callable[..., None]:
 
 
 @functools.cache
-def _app(names: tuple[str, ...]) -> typer.Typer:
-    """The program with these commands."""
+def _app(names: tuple[str, ...], *, listed_only: bool = False) -> typer.Typer:
+    """The program with these commands; `listed_only`: without their options, for the list of all commands."""
     made = typer.Typer(
         name="limbcli",
         help="Soft-tissue parameters of a residual limb, from MRI, indentation and shear-wave elastography.",
@@ -77,12 +80,18 @@ def _app(names: tuple[str, ...]) -> typer.Typer:
     made.callback()(_root)
     for name in names:
         each = COMMANDS[name]
-        text, (function, *like) = each.help(), each.functions()
-        first = inspect.cleandoc(text).partition("\n\n")[0]
+        first = inspect.cleandoc(each.help()).partition("\n\n")[0]
         made.command(name, short_help=" ".join(first.split()), epilog=f"Example: {each.example}")(
-            _never_ended(command_of(function, text, like=tuple(like)))
+            _listed if listed_only else _never_ended(_made(each))
         )
     return made
+
+
+def _made(command: Command) -> Callable[..., None]:
+    from limbcli.cli.command import command_of
+
+    function, *like = command.functions()
+    return command_of(function, command.help(), like=tuple(like))
 
 
 def __getattr__(name: str) -> typer.Typer:
@@ -99,7 +108,8 @@ def main(arguments: list[str] | None = None) -> None:
         arguments = list(map(_from_home, arguments))
         _refuse_no_numbers(arguments)
         only = tuple(each for each in arguments[:1] if each in COMMANDS)
-        _app(only or tuple(COMMANDS))(args=arguments, standalone_mode=True)
+        program = _app(only or tuple(COMMANDS), listed_only=arguments in ([], ["-h"], ["--help"]))
+        program(args=arguments, standalone_mode=True)
     except LimbError as error:
         _exit_with(error, arguments)
     except SystemExit as stop:

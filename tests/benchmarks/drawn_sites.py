@@ -49,7 +49,7 @@ from limbcli.stages.build_feb import TISSUE
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue, Press
 from tests.benchmarks.mesh_sites import limbs as known
-from tests.benchmarks.seeded_rows import Row, made, succeeded
+from tests.benchmarks.seeded_rows import NO_RESULT, Row, made, succeeded
 
 Change = Callable[[LimbModel], LimbModel]
 PENALTY, TOLERANCE, FAR, FACES = 80.0, 1e-4, 14.0, (8000, 2500)  # faces of skin and of each bone
@@ -532,8 +532,8 @@ def one(
 
 
 def line(row: Row) -> str:
-    if "error" in row:
-        return f"d{row['number']:02d}: {row['error']}"
+    if NO_RESULT in row:
+        return f"d{row['number']:02d}: {row[NO_RESULT]}"
     first = row["case"][0]
     return f"{first['id']} {'+'.join(first['effects'])}, {first['limb']}, {first['thickness_mm']:.1f} mm"
 

@@ -32,7 +32,7 @@ import numpy as np
 from limbcli.measurement.elastography import SweMap, map_file, write_map
 from limbcli.model import Array
 from limbcli.phantom.case_folder import toml
-from tests.benchmarks.seeded_rows import Row, made, succeeded
+from tests.benchmarks.seeded_rows import NO_RESULT, Row, made, succeeded
 
 if TYPE_CHECKING:
     from tests.benchmarks.instrument_effects import Readings
@@ -163,7 +163,7 @@ def main() -> None:
 
     def one(truth: dict) -> Row:
         entry = remeasure(truth, options.hidden, options.draw, options.out)
-        return {"error": "no record for this"} if entry is None else {"case": entry}
+        return {NO_RESULT: "no record for this"} if entry is None else {"case": entry}
 
     rows = made(options.out / "sites.jsonl", jobs, one, key=("site", "hidden", "draw"))
     entries = [row["case"] for row in succeeded(rows)]

@@ -20,6 +20,7 @@ from limbcli.errors import LimbError
 Job = TypeVar("Job")
 Row = dict[str, Any]
 Key = tuple[Any, ...]  # what tells a row from all others: a seed, an arm and a seed
+NO_RESULT = "no_result"  # key of the reason in a row without a result
 
 
 def kept(path: Path | None) -> list[Row]:
@@ -43,7 +44,7 @@ def made(
 
     path : None: nothing is kept
     jobs : what `one` is called with, by the values of the row's key; key : their names in the row
-    one : makes the row, or several of the same key; a LimbError of it makes a row with `error`
+    one : makes the row, or several of the same key; a LimbError of it makes a row with `no_result`
     show : what is printed of a new row
     until : of `time.monotonic`; none is begun after it
     """
@@ -69,7 +70,7 @@ def _tried(one: Callable[[Job], Row | list[Row]], until: float, job: Job) -> lis
     try:
         found = one(job)
     except LimbError as error:
-        return [{"error": error.what}]
+        return [{NO_RESULT: error.what}]
     return found if isinstance(found, list) else [found]
 
 
@@ -83,7 +84,7 @@ def _results(one: Callable[[Job], list[Row]], jobs: Iterable[Job], processes: in
 
 def succeeded(rows: Iterable[Row]) -> list[Row]:
     """Those that have a result."""
-    return [row for row in rows if "error" not in row]
+    return [row for row in rows if NO_RESULT not in row]
 
 
 def counted(rows: list[Row]) -> str:

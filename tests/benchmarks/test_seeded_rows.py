@@ -27,7 +27,7 @@ def test_rows_are_kept_in_order_and_a_failure_is_one(tmp_path: Path, processes: 
     path = tmp_path / "rows.jsonl"
     rows = made(path, SEEDS, drawn, processes=processes)
     assert [row["seed"] for row in rows] == [0, 1, 2, 3]
-    assert rows[2] == {"seed": 2, "error": "no fit"}
+    assert rows[2] == {"seed": 2, "no_result": "no fit"}
     assert kept(path) == rows
     assert len(capsys.readouterr().out.splitlines()) == 4
     assert counted(rows) == "4 seeds, 1 without a result"
@@ -72,3 +72,9 @@ def test_without_a_file_nothing_is_kept_and_after_the_time_none_is_begun() -> No
     assert kept(None) == []
     assert [row["seed"] for row in made(None, {(1,): 1}, drawn, show=None)] == [1]
     assert made(None, SEEDS, drawn, until=time.monotonic() - 1.0) == []
+
+
+def test_a_value_called_error_is_no_failure() -> None:
+    """A study may note the error of what it found; only a LimbError leaves a row without a result."""
+    rows = made(None, SEEDS, lambda seed: {"error": [0.1 * seed]} if seed < 2 else drawn(seed), show=None)
+    assert [row["seed"] for row in succeeded(rows)] == [0, 1, 3]

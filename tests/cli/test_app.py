@@ -75,6 +75,17 @@ def test_the_list_of_commands_says_of_each_what_it_does_to_the_end(capsys, monke
     assert "versions, libraries, solvers with a self test, memory." in " ".join(shown.split())
 
 
+@pytest.mark.parametrize("arguments", [[], ["-h"], ["--help"]])
+def test_the_list_of_commands_is_that_of_the_program_with_all_options(capsys, arguments: list[str]):
+    shown = []
+    for program in (main, lambda args: app(args=args)):
+        with pytest.raises(SystemExit):
+            program(arguments)
+        shown.append("".join(capsys.readouterr()).partition("Commands:")[2])
+    assert "segment" in shown[0]
+    assert shown[0] == shown[1]
+
+
 @pytest.mark.parametrize("name", COMMANDS)
 def test_help_names_every_option_whole_on_a_narrow_terminal(capsys, monkeypatch, name: str):
     monkeypatch.setenv("COLUMNS", "80")
