@@ -109,7 +109,7 @@ def test_c_and_m_change_with_the_pose_by_less_than_the_stated_mesh_error(tmp_pat
     On its own mesh a fit would give back the truth."""
     from tests.benchmarks.poses import SHAPE, C, change, fitted, model_of, reading_of
 
-    sizes = Sizes(under_probe=6.0, far=10.0)
+    sizes = Sizes(under_probe=5.0, far=8.0)  # at 6 and 10 mm tet4 errs by more: figures/meshing.md
     reading = reading_of(model_of(None, "tet4", sizes))
     found = fitted(model_of("any", "tet4", sizes), *reading, tmp_path)
     truth = {"c_kpa": {"value": 1000 * C}, "m": {"value": SHAPE[1]}}
