@@ -91,9 +91,7 @@ class Noise:
         """The noise with the model's errors multiplied by these factors (n,); None: by 1."""
         if times is None:
             return self
-        return self._of(
-            part.times(times) if part.name.startswith(OF_MODEL) else part for part in self.parts
-        )
+        return self._of(part.times(times) if part.name.startswith(OF_MODEL) else part for part in self.parts)
 
     def with_part(self, new: NoisePart) -> Noise:
         """The noise with the part of this name replaced."""
