@@ -72,7 +72,7 @@ class Reading:
         before it drained)
     compliance : mm/N of limb and bone support, visible only in the probe's travel
     log_speed_shift : added to ln of each speed
-    speed_slope : 1/mm, relative decrease of speed per depth below the window's middle
+    speed_slope : 1/mm, relative decrease of speed per depth below the face beyond `reads_right_at` (mm)
     guided : 1e4 Hz^2 / f^2 of the shear waves guided by probe and bone
     prony : (share, time constant in s) of the relaxing stress, relative to the equilibrium stress
     c : MPa, of the tissue being read, needed for its drainage; 0: not given
@@ -89,6 +89,7 @@ class Reading:
     compliance: float = 0.0
     log_speed_shift: float = 0.0
     speed_slope: float = 0.0
+    reads_right_at: float = 0.0
     guided: float = 0.0
     prony: tuple[tuple[float, float], ...] = ()
     c: float = 0.0
@@ -189,8 +190,8 @@ def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
     if reading.guided:
         speed = speed + _guided(speed, curves.thickness - depth, reading.guided)
     if reading.speed_slope:
-        beyond_middle = curves.window_depth - curves.window_depth.mean()
-        speed = speed + np.log(np.maximum(1.0 - reading.speed_slope * beyond_middle, 0.05))
+        beyond = curves.window_depth - reading.reads_right_at
+        speed = speed + np.log(np.maximum(1.0 - reading.speed_slope * beyond, 0.05))
     return np.asarray(speed)
 
 

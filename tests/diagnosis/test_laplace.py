@@ -56,6 +56,22 @@ def test_with_normal_priors_it_is_the_marginal_likelihood_though_the_fit_ended_a
     assert found == pytest.approx(stats.multivariate_normal(J @ mean, covariance + form).logpdf(y), rel=1e-9)
 
 
+def test_errors_of_the_model_alone_are_amplified(rng):
+    """Not those of the readings; so are the sizes of scalable ones, and the noise told afterwards."""
+    J, priors, times = rng.standard_normal((N, 2)), (Prior(0.0, 1.0), Prior(0.0, 1.0)), rng.uniform(1, 3, N)
+    own = independent("own", rng.uniform(0.5, 1.5, N), source="repeats")
+    one, other = (
+        Noise((own, independent("model: maps", size * np.full(N, 0.4), source="computed")))
+        for size in (np.ones(N), times)
+    )
+    y, scalable = rng.standard_normal(N), [Scalable("model: maps", 0.2, 2.0)]
+    best = near(other, J, y, priors, 0.0)
+    found = posterior(fitted_at(J, best, priors, amplification=times), y, one, scalable)
+    expected = posterior(fitted_at(J, best, priors), y, other, scalable)
+    assert found.ln_evidence == pytest.approx(expected.ln_evidence)
+    assert found.noise(one).covariance == pytest.approx(expected.noise(other).covariance)
+
+
 def test_the_posterior_is_that_of_bayes(rng):
     noise, J, priors = noise_of(rng), rng.standard_normal((N, 2)), (Prior(1.0, 2.0), Prior(0.0, 0.5))
     y = 3.0 * rng.standard_normal(N)

@@ -332,6 +332,23 @@ def test_an_error_of_depth_moves_maps_by_the_slopes_of_its_noise_where_an_effect
     assert np.abs(left - allowed).max() < 0.3 * np.abs((shown - as_read)[at] - allowed).max()
 
 
+def test_an_error_of_the_tissues_speed_shows_several_times_near_the_cut_off_of_guided_waves():
+    """d ln(v / sqrt(1 - r)) / d ln v = 1 / (1 - r), r the square of speed over that at the cut-off."""
+    record = measured_on_steep(0.0)
+    speeds = np.repeat(steep().log_speed[:, :1], 61, axis=1)
+    curves = Curves(STEEP, steep().force, speeds, MAPPED.depths, 9.0)
+    maps = [grid_map(each) for each in record.swe_mean_m_per_s]
+    site = site_data("p1", record, StatedNoise(), windows=MAPPED, maps=maps)
+    found = site.amplification(curves, Reading(guided=0.038))
+    level = np.array([row.level for row in site.rows])
+    ratio = (1e3 * record.swe_mean_m_per_s / (2 * (9.0 - record.depth))) ** 2 * 0.038e-4
+    is_map = site.rows.among("map")
+    assert ratio.max() > 0.5
+    assert found[is_map] == pytest.approx((1 / (1 - ratio))[level[is_map]], rel=0.02)  # of a smoothed depth
+    assert np.all(found[~is_map] == 1.0)
+    assert site.amplification(curves, Reading(speed_slope=0.02)) == pytest.approx(np.ones(len(found)))
+
+
 @pytest.mark.parametrize("reading", [Reading(force_zero=3.0), Reading(preload=1.5), Reading(depth_gain=1.1)])
 def test_so_it_does_where_the_reading_is_distorted(reading):
     true = measured_on_steep(0.0)

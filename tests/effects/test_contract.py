@@ -255,12 +255,13 @@ def test_guided_waves_gain_most_where_the_tissue_is_thin():
     assert np.all(np.diff(gain[:, 0]) > 0)
 
 
-def test_a_loss_of_speed_with_depth_is_counted_from_the_middle_of_the_windows():
-    """2 % per mm, windows 5 mm above and below their middle: a tenth more and a tenth less at any load."""
+def test_a_loss_of_speed_with_depth_is_counted_from_where_the_scanner_reads_right():
+    """2 % per mm, windows 2 mm above and 8 mm below that depth: 4 % more and 16 % less at any load."""
     depth = np.linspace(0.0, 10.0, 3)
     curves = Curves(depth, 2 * depth, np.log(np.full((3, 2), 3.0)), np.array([10.0, 20.0]), 30.0)
-    shown = read(curves, _protocol(), effect("swe-depth-bias").observe(Reading(), {"swe_loss_per_mm": 0.02}))
-    assert np.exp(shown.log_speed) == pytest.approx(np.tile([3.3, 2.7], (3, 1)))
+    theta = {"swe_loss_per_mm": 0.02, "swe_reads_right_at_mm": 12.0}
+    shown = read(curves, _protocol(), effect("swe-depth-bias").observe(Reading(), theta))
+    assert np.exp(shown.log_speed) == pytest.approx(np.tile([3.12, 2.52], (3, 1)))
 
 
 def test_a_thicker_layer_reaches_deeper_below_the_same_skin(base):

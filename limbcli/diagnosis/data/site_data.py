@@ -41,6 +41,7 @@ from limbcli.site_model.layer_readings import LayerReadings
 
 USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
 _STRAIN_STEP = 0.01  # relative step of the derivative with respect to all strains
+_SPEED_STEP = 1e-3  # the same of that with respect to ln of all speeds
 _DEPTH_OUTLIER_SD = 4.0  # largest error of a depth reading that is corrected, in its standard deviations
 _LEAST_N = 0.2  # N, smallest force from which a depth is determined
 # Channels that a measurement may have, as they are called where a misfit is localised.
@@ -125,6 +126,14 @@ class SiteData:
             out[places] = read(curves, smoothed, reading).log_speed[levels, parts]
             out[places] -= self.slope[places] * self._to_smooth[levels]
         return out
+
+    def amplification(self, curves: Curves, reading: Reading) -> Array:
+        """Change (n,) of each shown ln speed per change of it in the tissue; 1 for other data."""
+        more, less = (
+            self.predict(curves, replace(reading, log_speed_shift=reading.log_speed_shift + step))
+            for step in (_SPEED_STEP, -_SPEED_STEP)
+        )
+        return np.where(self.rows.among("swe", "map"), (more - less) / (2 * _SPEED_STEP), 1.0)
 
     @cached_property
     def _to_smooth(self) -> Array:

@@ -120,6 +120,7 @@ class Fits:
             at_bound=tuple(m for s, v in zip(slots, sizes, strict=True) if (m := s.on_bound(v))),
             point=label, without=self._without_approximate(x, model),
             priors=Priors.about(x, predict.priors(explanation)),
+            amplification=predict.amplification(x, model),
         )  # fmt: skip
 
     def _without_approximate(self, x: Array, model: AtPoints) -> Array | None:

@@ -176,6 +176,18 @@ class Predictions:
             raise SolveError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
         return found
 
+    def amplification(self, x: Array, model: AtPoints) -> Array | None:
+        """Change (n,) of each shown ln speed per change of it in the tissue; 1 for other data. None if 1 for
+        all."""
+        names = model.explanation
+        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
+        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
+        found = np.concatenate([
+            each.site.amplification(*each.read(c, m, model, self.theta(values, names, k)))
+            for k, each in enumerate(self.sites)
+        ])  # fmt: skip
+        return None if np.allclose(found, 1.0) else found
+
     def curves_of(self, fitted: Fitted, site: int = 0) -> tuple[Curves, Reading]:
         """The fitted curves of a site, and the reading model applied to them."""
         theta = self.theta(fitted.values, fitted.explanation, site)

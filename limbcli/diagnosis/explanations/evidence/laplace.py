@@ -47,10 +47,10 @@ class Posterior:
     level: float = 1.0
 
     def noise(self, stated: Noise) -> Noise:
-        """The stated noise with the sizes of the scalable errors that this explanation has."""
+        """The stated noise with the model's errors as large as they are in this explanation."""
         for name, share in self.shares.items():
             stated = stated.with_share(name, share)
-        return stated
+        return stated.amplified(self.fitted.amplification)
 
     @cached_property
     def deviation(self) -> Array:
@@ -67,6 +67,7 @@ def posterior(
     form (n, n) : covariance of the error of the effects' own form; relative : the level of the noise is
     unknown
     """
+    noise = noise.amplified(fitted.amplification)
     known = {each.name: each for each in scalable if each.name in noise.names}
     scaled = {part.name: part.covariance for part in noise.parts if part.name in known}
     fixed = np.asarray(sum(part.covariance for part in noise.parts if part.name not in known))

@@ -144,6 +144,8 @@ class Fitted:
     without : (n,) prediction without the effects whose form is only approximate; None if there are none
     priors : of the parameters, in the order of the Jacobian's columns
     ln_points : ln of the mean likelihood over the effects' grid points, relative to that of the chosen one
+    amplification : (n,) how many times an error of the model shows in each datum; None: once. Near the
+    cut-off of guided waves, an error of the tissue's speed shows several times
     """
 
     explanation: Explanation
@@ -157,6 +159,7 @@ class Fitted:
     without: Array | None = None
     priors: Priors = field(default_factory=lambda: Priors.about(np.zeros(0), ()))
     ln_points: float = 0.0
+    amplification: Array | None = None
 
 
 @dataclass(frozen=True)

@@ -27,6 +27,7 @@ from limbcli.model import Array, IntArray
 from limbcli.numbers.whitening import Whitener
 
 ASSUMED = "assumed"
+OF_MODEL = "model: "  # beginning of the name of a part that is an error of the model
 TAILS = 7.0
 EXCESS = 6.0 / (TAILS - 4.0)  # excess kurtosis over the normal distribution
 
@@ -59,6 +60,11 @@ class NoisePart:
         direction = None if self.direction is None else share * self.direction
         return NoisePart(self.name, share**2 * self.covariance, "estimated", direction)
 
+    def times(self, factors: Array) -> NoisePart:
+        """The part with the standard deviation of each datum multiplied by its factor (n,)."""
+        direction = None if self.direction is None else factors * self.direction
+        return NoisePart(self.name, self.covariance * np.outer(factors, factors), self.source, direction)
+
 
 @dataclass(frozen=True, eq=False)
 class Noise:
@@ -80,6 +86,12 @@ class Noise:
     def with_share(self, name: str, share: float) -> Noise:
         """The noise with the standard deviation of part `name` scaled by the estimated `share`."""
         return self._of(part.scaled(share) if part.name == name else part for part in self.parts)
+
+    def amplified(self, times: Array | None) -> Noise:
+        """The noise with the model's errors multiplied by these factors (n,); None: by 1."""
+        if times is None:
+            return self
+        return self._of(part.times(times) if part.name.startswith(OF_MODEL) else part for part in self.parts)
 
     def with_part(self, new: NoisePart) -> Noise:
         """The noise with the part of this name replaced."""
