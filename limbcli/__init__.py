@@ -17,8 +17,6 @@ from limbcli.files.kernel_folder import keep_kernels
 from limbcli.version import __version__
 
 if TYPE_CHECKING:
-    from limbcli.api.base import Result as Result
-    from limbcli.api.base import SiteResults as SiteResults
     from limbcli.api.cohorts import BatchResult as BatchResult
     from limbcli.api.cohorts import CaseResult as CaseResult
     from limbcli.api.cohorts import CohortResult as CohortResult
@@ -51,6 +49,8 @@ if TYPE_CHECKING:
     from limbcli.api.making import make_phantom as make_phantom
     from limbcli.api.making import synth as synth
     from limbcli.api.notebook import ShownProgress as ShownProgress
+    from limbcli.api.result import Result as Result
+    from limbcli.api.result import SiteResults as SiteResults
     from limbcli.api.simulation import BuildFebResult as BuildFebResult
     from limbcli.api.simulation import RunResult as RunResult
     from limbcli.api.simulation import build_feb as build_feb
@@ -75,12 +75,12 @@ if TYPE_CHECKING:
     from limbcli.feb.write import write_feb as write_feb
     from limbcli.model import LimbModel as LimbModel
     from limbcli.progress import Progress as Progress
-    from limbcli.solvers.base import Simulation as Simulation
     from limbcli.solvers.session import MustPoints as MustPoints
     from limbcli.solvers.session import ReferenceSession as ReferenceSession
     from limbcli.solvers.session import SessionResult as SessionResult
     from limbcli.solvers.session_options import StartFrom as StartFrom
     from limbcli.solvers.session_options import StopWhen as StopWhen
+    from limbcli.solvers.solver import Simulation as Simulation
 
 # Module of each public name; a test compares this list, and the signatures, with the documented interface.
 _PUBLIC = {

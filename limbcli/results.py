@@ -21,7 +21,7 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.errors import CaseError, errors_of_site
-from limbcli.errors.commands import command_line
+from limbcli.errors.pasted_commands import command_line
 from limbcli.files.atomic import atomic_folder, sha256
 from limbcli.version import __version__
 

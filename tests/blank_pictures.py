@@ -24,11 +24,11 @@ from limbcli import drawing
 # Where a stage calls a picture that is no graph.
 CALLS = (
     ("limbcli.stages.segment", "contact_sheet"),
-    ("limbcli.stages.segmenting.places", "draw_places"),
+    ("limbcli.stages.segmenting.possible_sites", "draw_places"),
     ("limbcli.stages.segmenting.assumed", "draw_assumed"),
     ("limbcli.stages.mesh", "mesh_picture"),
     ("limbcli.stages.limb", "limb_picture"),
-    ("limbcli.site_model.fibres", "fibre_picture"),
+    ("limbcli.site_model.element_fibres", "fibre_picture"),
 )
 _SVG = '<?xml version="1.0" encoding="utf-8"?>\n<svg xmlns="http://www.w3.org/2000/svg" {}/>\n'
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from limbcli.api.base import Result, one, whole_paths
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -18,6 +17,7 @@ from limbcli.api.call import (
     maybe_path,
     public,
 )
+from limbcli.api.result import Result, one, whole_paths
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, get_args
 
-from limbcli.api.base import each_site, one
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
 from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult, StatesFitResult
+from limbcli.api.result import each_site, one
 from limbcli.options import (
     C_KPA,
     CASE,

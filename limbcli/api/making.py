@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from limbcli.api.base import Result, one
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -18,6 +17,7 @@ from limbcli.api.call import (
     listening,
     names_of,
 )
+from limbcli.api.result import Result, one
 from limbcli.numbers.mesh_bounds import FAR_SIZE_MM, SIZE_MM
 from limbcli.options import CASE, MARGIN, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from limbcli.api.base import Result, each_site, one
 from limbcli.api.call import (
     CaseLike,
     Heard,
@@ -19,6 +18,7 @@ from limbcli.api.call import (
     maybe_path,
     names_of,
 )
+from limbcli.api.result import Result, each_site, one
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
 from limbcli.config import default_out
 from limbcli.errors import CaseError

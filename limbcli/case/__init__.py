@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from limbcli.case import schema as schema
-from limbcli.case.fibres import fibre_problems, read_fibres
 from limbcli.case.files import CaseFiles
 from limbcli.case.imaging import place_of, read_imaging
 from limbcli.case.instruments import read_instruments, read_layers
 from limbcli.case.parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
 from limbcli.case.socket import read_socket
+from limbcli.case.stated_fibres import fibre_problems, read_fibres
 from limbcli.case.states import read_states, site_schema
 from limbcli.case.toml_file import read_toml
 from limbcli.config import at_home

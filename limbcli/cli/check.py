@@ -15,7 +15,7 @@ from limbcli.progress import Progress
 
 def check_case(case: Annotated[Path, CASE], *, json: bool, progress: Progress) -> None:
     """Check a case folder and list every problem: files, units, ranges, missing entries."""
-    from limbcli.errors.commands import pasted_text
+    from limbcli.errors.pasted_commands import pasted_text
     from limbcli.stages.check import check
 
     result = check(case, progress=progress)

@@ -6,7 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 
-from limbcli.errors.commands import AnyError, pasted, typed
+from limbcli.errors.pasted_commands import AnyError, pasted, typed
 
 Options = Mapping[str, Set[str]]
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")

@@ -20,7 +20,7 @@ def segment_case(case: Annotated[Path, CASE], *, json: bool, **options: Any) -> 
     from limbcli.case import CASE_FILE
     from limbcli.errors import CaseError
     from limbcli.errors.problems import raise_errors
-    from limbcli.stages.segmenting.places import site_errors
+    from limbcli.stages.segmenting.possible_sites import site_errors
 
     result = inspect.unwrap(segment)(case, **options)
     emit(result, as_json=json)

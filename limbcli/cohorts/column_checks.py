@@ -27,7 +27,7 @@ from limbcli.cohorts.table import (
 from limbcli.cohorts.unit_guess import common_factors, disagreeing, pressure_units, unusual_face
 from limbcli.errors.problems import Problem
 from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
-from limbcli.measurement.tables import RawTable, problem
+from limbcli.measurement.number_table import RawTable, problem
 from limbcli.model import Array
 
 Rows = NDArray[np.bool_]

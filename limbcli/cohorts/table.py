@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors.problems import Problem, similar
-from limbcli.measurement.tables import RawTable, csv_rows, problem, read_table
+from limbcli.measurement.number_table import RawTable, csv_rows, problem, read_table
 from limbcli.model import Array
 
 LAYERS = ("skin", "fat", "muscle")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.cohorts.table import FACE, PRESSURE, SITE
-from limbcli.measurement.tables import RawTable
+from limbcli.measurement.number_table import RawTable
 from limbcli.model import Array
 from limbcli.numbers.units import FORCE_UNITS_IN_N, LENGTH_UNITS_IN_MM, PRESSURE_UNITS_IN_MPA
 

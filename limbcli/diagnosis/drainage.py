@@ -22,8 +22,8 @@ from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.held_forces import HeldForces
 from limbcli.diagnosis.explanations import decisions
 from limbcli.effects import poroelasticity
-from limbcli.effects.base import Effect
 from limbcli.effects.drainage import SPREADS, Drainage, HeldIndentation
+from limbcli.effects.effect import Effect
 from limbcli.errors import FitError, LimbError, SolveError
 from limbcli.feb.settings import USUAL_PENALTY, schedule
 from limbcli.files.temporary_folders import scratch_folder
@@ -37,9 +37,9 @@ from limbcli.site_model.indentation_model import (
     with_penalty,
 )
 from limbcli.solvers import choose
-from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.solve_folder import SolveFolder
+from limbcli.solvers.solver import Simulation, Solver
 
 NAME = poroelasticity.EFFECT.name
 SHARES_OF_DEPTH = (1.0, 0.5, 0.25)

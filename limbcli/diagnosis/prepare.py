@@ -18,8 +18,8 @@ from limbcli.case.noting import with_values
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, nearest_m, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.held_forces import held_forces
-from limbcli.diagnosis.data.layers import BorderLines
-from limbcli.diagnosis.data.noise import deepest, readings
+from limbcli.diagnosis.data.layer_rows import BorderLines
+from limbcli.diagnosis.data.noise_parts import deepest, readings
 from limbcli.diagnosis.data.rows import ExtraMeasurement
 from limbcli.diagnosis.data.site_data import SiteData, site_data
 from limbcli.diagnosis.data.windows import Windows
@@ -30,7 +30,7 @@ from limbcli.diagnosis.mesh_error.mesh_comparison import mesh_correction
 from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
 from limbcli.diagnosis.mesh_error.model_errors import ModelErrors
 from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, Notes, NumericalChecks
-from limbcli.effects.base import Effect
+from limbcli.effects.effect import Effect
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.files.atomic import atomic_file, sha256
 from limbcli.measurement.indentation import read_trace
@@ -43,7 +43,7 @@ from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model, save_model
 from limbcli.progress import Progress
 from limbcli.results import plain, read_result
-from limbcli.site_model.fibres import with_fibres
+from limbcli.site_model.element_fibres import with_fibres
 from limbcli.site_model.layer_readings import layer_readings
 from limbcli.site_model.mesh_checks import check_within_tissue, measured_skin_bone
 from limbcli.site_model.segmented_limb import read_limb, site_position

@@ -10,8 +10,8 @@ from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, contact_penalty, own_layers
 from limbcli.diagnosis.prepare import Prepared
-from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves, force_at
+from limbcli.effects.effect import applied
 from limbcli.effects.reading import Reading, true_depth
 from limbcli.feb.settings import least_level, schedule
 from limbcli.feb.write import write_feb

@@ -33,7 +33,7 @@ from limbcli.effects import (
     tilt,
     viscoelasticity,
 )
-from limbcli.effects.base import Effect, Parameter
+from limbcli.effects.effect import Effect, Parameter
 from limbcli.errors import CaseError
 from limbcli.errors.problems import suggestion
 

@@ -14,8 +14,8 @@ import math
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta
-from limbcli.effects.places import Places, stiffened
+from limbcli.effects.effect import Effect, Parameter, Theta
+from limbcli.effects.stiffness_places import Places, stiffened
 from limbcli.model import Array, LimbModel
 
 THICKNESS = "fat_thickness_mm"

@@ -13,7 +13,7 @@ Source: Criscione et al. 2001, J Mech Phys Solids 49:871 (shear moduli of fibred
 
 from __future__ import annotations
 
-from limbcli.effects.base import Effect, Parameter, Theta, times_c
+from limbcli.effects.effect import Effect, Parameter, Theta, times_c
 from limbcli.effects.tissue import fibre_direction, ground_modulus, with_part
 from limbcli.model import LimbModel, Material, Value
 

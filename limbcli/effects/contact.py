@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import LimbModel
 
 FACTOR = Parameter(

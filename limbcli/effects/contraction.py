@@ -10,7 +10,7 @@ Source: Zajac 1989, Crit Rev Biomed Eng 17:359; Nordez & Hug 2010, J Appl Physio
 
 from __future__ import annotations
 
-from limbcli.effects.base import Effect, Parameter, Theta, times_c
+from limbcli.effects.effect import Effect, Parameter, Theta, times_c
 from limbcli.effects.tissue import fibre_direction, ground_modulus, with_part
 from limbcli.model import LimbModel, Material, Value
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import LimbModel, Support
 
 FREED = Parameter("cut_freed", null=0.0, start=1.0, low=0.0, high=1.0, typical=1.0, prior="0 or 1")

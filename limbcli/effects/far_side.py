@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.tissue import thickness
 from limbcli.model import IntArray, LimbModel, Support
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import LimbModel
 
 COEFFICIENT = Parameter("friction_coefficient", null=0.0, start=0.2, low=0.0, high=1.0, typical=0.15,

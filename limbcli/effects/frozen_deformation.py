@@ -24,7 +24,7 @@ from typing import Any, Protocol
 import numpy as np
 from scipy.interpolate import CubicSpline
 
-from limbcli.effects.places import Places, Stiffness, cell_means
+from limbcli.effects.stiffness_places import Places, Stiffness, cell_means
 from limbcli.effects.tissue import TISSUE
 from limbcli.materials import compile_material
 from limbcli.materials.energy import deformation_of, energy_at

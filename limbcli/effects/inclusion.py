@@ -15,8 +15,8 @@ import itertools
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta, exponential
-from limbcli.effects.places import Places, stiffened
+from limbcli.effects.effect import Effect, Parameter, Theta, exponential
+from limbcli.effects.stiffness_places import Places, stiffened
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.compiled import njit
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from functools import partial
 
-from limbcli.effects.base import Effect, Theta
-from limbcli.effects.places import Places, Stiffness
+from limbcli.effects.effect import Effect, Theta
+from limbcli.effects.stiffness_places import Places, Stiffness
 from limbcli.model import Array, LimbModel
 
 Ingredients = tuple[tuple[Effect, Theta], ...]

@@ -14,7 +14,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.meshing.regions import quadratic
 from limbcli.model import Block, IntArray, LimbModel, LogRecord, Mesh, Surface
 

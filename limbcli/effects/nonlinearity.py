@@ -9,7 +9,7 @@ Source: Destrade & Ogden 2010, J Acoust Soc Am 128:3334 (third- and fourth-order
 
 from __future__ import annotations
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.tissue import TISSUE, core, ground_modulus, with_core
 from limbcli.model import LimbModel
 

@@ -15,7 +15,7 @@ from traceback import extract_tb
 from types import ModuleType
 from typing import Any, get_args
 
-from limbcli.effects.base import NUMERICAL, Effect, Kind, same_model, same_reading
+from limbcli.effects.effect import NUMERICAL, Effect, Kind, same_model, same_reading
 from limbcli.effects.reading import Reading
 from limbcli.errors import CaseError, LimbError
 from limbcli.model import LimbModel

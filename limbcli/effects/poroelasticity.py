@@ -17,8 +17,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.drainage import Drainage
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import TISSUE, core, ground_modulus, with_core
 from limbcli.model import LimbModel, Material, Support

@@ -15,8 +15,8 @@ import math
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta, same_model
-from limbcli.effects.places import Places, stiffened
+from limbcli.effects.effect import Effect, Parameter, Theta, same_model
+from limbcli.effects.stiffness_places import Places, stiffened
 from limbcli.model import Array, LimbModel
 
 THICKNESS = "skin_thickness_mm"

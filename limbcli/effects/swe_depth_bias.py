@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 
 SLOPE = Parameter(

@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 
 

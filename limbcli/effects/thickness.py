@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import LimbModel
 
 SCALE = Parameter("thickness_change", null=0.0, start=0.05, low=-0.2, high=0.2, typical=0.1,

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import Array, LimbModel
 
 _AROUND = 10.0  # margin around the probe (mm) within which the skin is considered

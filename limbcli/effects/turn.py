@@ -7,7 +7,7 @@ Source: Zheng, Mak & Lue 1999, J Rehabil Res Dev 36:71 (angles of a hand-held in
 
 from __future__ import annotations
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.tilt import ABOUT_LONG, turned
 from limbcli.model import LimbModel
 

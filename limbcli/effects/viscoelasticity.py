@@ -14,7 +14,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from limbcli.effects.base import Effect, Parameter, Theta
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import TISSUE, WRAPPERS, within
 from limbcli.model import LimbModel, Material

@@ -10,8 +10,8 @@ import traceback
 from pathlib import Path
 
 from limbcli.errors import UnforeseenError
-from limbcli.errors.commands import command_line
 from limbcli.errors.file_system import in_utf8
+from limbcli.errors.pasted_commands import command_line
 from limbcli.version import __version__
 
 

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import TextIO
 
 from limbcli.errors import CaseError
-from limbcli.errors.commands import command_line
 from limbcli.errors.file_system import file_system_errors, in_words, not_in_utf8
+from limbcli.errors.pasted_commands import command_line
 from limbcli.progress import SILENT, Progress
 
 LOCK = ".writing"

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.effects.tissue import fibre_direction
-from limbcli.meshing.fibres import mean_axis
+from limbcli.meshing.fibres_from_angles import mean_axis
 from limbcli.model import ElementMap, LimbModel
 from limbcli.results import StageWriter
 

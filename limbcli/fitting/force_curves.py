@@ -28,12 +28,12 @@ from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.site_model.indentation_model import TISSUE, with_penalty, with_tissue
 from limbcli.site_model.model_simplification import softer_jumps
-from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
 from limbcli.solvers.session import ReferenceSession, SessionResult
 from limbcli.solvers.session_options import StopWhen
+from limbcli.solvers.solver import Simulation, Solver
 
 if TYPE_CHECKING:
     from limbcli.solvers.session import Solved

@@ -16,7 +16,7 @@ from limbcli.fitting.laws import FIBRE_F_KAPPA, LOCKING, FitLaw
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import chi_square_agreement
 from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
-from limbcli.inference.joint import JointProblem, JointTask, held_out_error
+from limbcli.inference.joint_fit import JointProblem, JointTask, held_out_error
 from limbcli.inference.likelihood import Likelihood
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.site_depth import SiteMeasurement, SitePrediction

@@ -15,7 +15,7 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.errors.problems import suggestion
-from limbcli.inference.joint import C_SPAN
+from limbcli.inference.joint_fit import C_SPAN
 from limbcli.inference.likelihood import C_STEP_FACTOR
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.two_step_fit import M_STEP_FACTOR

@@ -13,7 +13,7 @@ from limbcli.fitting.state_plan import StretchPlan
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.curve_minimum import LowestPoint, lowest_of_points, lowest_on_grid
 from limbcli.inference.derived import DerivedInterval, derived_interval
-from limbcli.inference.states import StatesProblem
+from limbcli.inference.states_fit import StatesProblem
 from limbcli.model import Array
 
 _GRID = np.linspace(

@@ -18,13 +18,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.effects.base import Effect
 from limbcli.effects.crop import EFFECT as CROP
+from limbcli.effects.effect import Effect
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.errors import SolveError
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import total_share
-from limbcli.inference.joint import JointProblem, joint_fit
+from limbcli.inference.joint_fit import JointProblem, joint_fit
 from limbcli.inference.prediction import SolvedPoints, sampled
 from limbcli.inference.two_step_fit import ForceDepth
 from limbcli.model import Array, LimbModel

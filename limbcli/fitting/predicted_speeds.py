@@ -26,7 +26,7 @@ from limbcli.reporting.figures.speed_maps import LevelMaps, speed_maps
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, wave_speed
 from limbcli.results import StageWriter
 from limbcli.shear_waves.from_simulation import AT_REST, level_maps
-from limbcli.solvers.base import Simulation
+from limbcli.solvers.solver import Simulation
 
 _SAME_DEPTH = 0.03  # mm, tolerance to match levels and simulated depths (those within 0.02 mm were merged)
 FOLDER = "swe"

@@ -25,7 +25,7 @@ from limbcli.numbers.units import kpa_from_mpa
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
-from limbcli.solvers.base import Simulation
+from limbcli.solvers.solver import Simulation
 
 __all__ = ["Identified", "draw_fit", "write_agreement", "write_curves", "write_result", "write_widening"]
 

@@ -12,7 +12,7 @@ from limbcli.errors import SolveError
 from limbcli.fitting.laws import FitLaw
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import Prediction
-from limbcli.meshing.fibres import mean_axis
+from limbcli.meshing.fibres_from_angles import mean_axis
 from limbcli.model import Array, ElementMap, LimbModel, Material
 from limbcli.numbers.units import mpa_from_pa
 from limbcli.progress import SILENT, Progress

@@ -12,8 +12,8 @@ from limbcli.fitting.least_stiffness import LeastStiffness
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import HIGH, LOW, StretchPlan
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.states import StatesProblem
-from limbcli.reporting.figures.states import StateReading, StatesPanel, states_figure
+from limbcli.inference.states_fit import StatesProblem
+from limbcli.reporting.figures.speed_over_stretch import StateReading, StatesPanel, states_figure
 from limbcli.results import StageWriter
 
 

@@ -19,7 +19,7 @@ from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import StretchPlan
 from limbcli.fitting.states_picture import draw_states, stretch_ends
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.states import StatesProblem
+from limbcli.inference.states_fit import StatesProblem
 from limbcli.model import LimbModel
 from limbcli.numbers.interval_limits import Flag
 from limbcli.reporting.headline import headline

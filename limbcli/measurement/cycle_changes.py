@@ -17,8 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.measurement.cycles import LEVEL, CycleStudy, Difference
 from limbcli.measurement.levels import Levels
+from limbcli.measurement.repeated_loading import LEVEL, CycleStudy, Difference
 from limbcli.model import Array
 from limbcli.numbers.significant_digits import short
 

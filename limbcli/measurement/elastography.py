@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem, checked, raise_errors
 from limbcli.files.atomic import atomic_file
-from limbcli.measurement.tables import RawTable, problem, read_table
+from limbcli.measurement.number_table import RawTable, problem, read_table
 from limbcli.model import Array
 
 COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")

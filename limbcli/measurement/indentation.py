@@ -27,8 +27,8 @@ from limbcli.measurement.level_checks import (
     check_zero,
 )
 from limbcli.measurement.levels import LAYERS, Levels
+from limbcli.measurement.number_table import RawTable, read_table
 from limbcli.measurement.speed_noise import check_speed_noise
-from limbcli.measurement.tables import RawTable, read_table
 from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
 
 __all__ = [

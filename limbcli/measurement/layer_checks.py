@@ -14,8 +14,8 @@ import numpy as np
 
 from limbcli.errors.problems import Problem
 from limbcli.measurement.levels import LAYERS, Levels
+from limbcli.measurement.number_table import problem
 from limbcli.measurement.speed_noise import SpeedNoise
-from limbcli.measurement.tables import problem
 from limbcli.model import Array
 
 # mm, standard deviation of a thickness marked on a B-mode image; edges are marked within 0.1 to 0.2 mm

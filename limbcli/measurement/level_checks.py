@@ -13,7 +13,7 @@ import numpy as np
 from limbcli.errors.problems import Problem
 from limbcli.measurement.layer_checks import LayerNoise
 from limbcli.measurement.levels import FEWEST_LOADING, Levels
-from limbcli.measurement.tables import RawTable, problem
+from limbcli.measurement.number_table import RawTable, problem
 from limbcli.model import Array
 from limbcli.numbers.units import mpa_from_pa
 

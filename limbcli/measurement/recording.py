@@ -16,8 +16,8 @@ from limbcli.errors import MeasurementError
 from limbcli.errors.problems import suggestion
 from limbcli.measurement import lvm
 from limbcli.measurement.column_units import factor, is_unit, matches, quantity, stated_unit, stated_word
+from limbcli.measurement.number_table import number_of, shown
 from limbcli.measurement.sheet import Sheet, cell, csv_sheet, text_of
-from limbcli.measurement.tables import number_of, shown
 from limbcli.measurement.tdms import is_tdms, tdms_sheet
 from limbcli.measurement.trace import LONGEST_S, RATES_HZ, Trace, block_means, rate_question
 from limbcli.model import Array

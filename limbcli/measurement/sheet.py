@@ -12,7 +12,7 @@ from pathlib import Path
 
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import checked
-from limbcli.measurement.tables import SEPARATOR_LINE, csv_rows, number_of
+from limbcli.measurement.number_table import SEPARATOR_LINE, csv_rows, number_of
 
 _BINARY = {
     b"PK\x03\x04": "an Excel workbook, or another archive", b"\xd0\xcf\x11\xe0": "an old Excel workbook",

@@ -15,7 +15,7 @@ import numpy as np
 
 from limbcli.errors.problems import Problem
 from limbcli.measurement.levels import Levels
-from limbcli.measurement.tables import RawTable, problem
+from limbcli.measurement.number_table import RawTable, problem
 from limbcli.model import Array, IntArray
 
 # Ratios of measured to stated noise beyond which they contradict each other.

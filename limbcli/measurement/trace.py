@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem, checked, errors_of
 from limbcli.measurement.level_checks import MAX_FORCE
-from limbcli.measurement.tables import problem, read_table
+from limbcli.measurement.number_table import problem, read_table
 from limbcli.model import Array
 from limbcli.numbers.units import TIME_UNITS_IN_S
 

@@ -14,7 +14,7 @@ import numpy as np
 from limbcli.errors.problems import Problem
 from limbcli.meshing.distance import Heights
 from limbcli.meshing.mending import Plane, enclosed, mend, principal_axis, skin_and_bones
-from limbcli.meshing.places import triple
+from limbcli.meshing.sites_on_skin import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 

@@ -10,7 +10,7 @@ from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 
 from limbcli.drawing import put_title, save_picture
-from limbcli.meshing.picture import draw_cut
+from limbcli.meshing.mesh_picture import draw_cut
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array, Block, Mesh
 

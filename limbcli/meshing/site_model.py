@@ -10,10 +10,10 @@ import numpy as np
 
 from limbcli.errors import CaseError
 from limbcli.meshing.checks import LayersKept, SiteChecks, layers_kept, site_checks, to_cut
+from limbcli.meshing.conforming_layers import Layer, core_of, open_ended, with_layers
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, TissueDomain, make_domain
 from limbcli.meshing.frame import SiteFrame, site_frame
-from limbcli.meshing.layers import Layer, core_of, open_ended, with_layers
 from limbcli.meshing.mending import Limb, Plane
 from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
 from limbcli.meshing.quality import MeshQuality, quality

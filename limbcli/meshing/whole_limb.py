@@ -14,10 +14,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limbcli.errors import CaseError, MeshError
+from limbcli.meshing.conforming_layers import Layer, core_of, open_ended, with_layers
 from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain, make_domain
 from limbcli.meshing.improve import NodeConstraints, put_back
-from limbcli.meshing.layers import Layer, core_of, open_ended, with_layers
 from limbcli.meshing.limb_parts import LimbFrame
 from limbcli.meshing.mending import Limb, Plane
 from limbcli.meshing.quality import EDGES, volumes

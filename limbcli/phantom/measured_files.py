@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from limbcli.measurement.elastography import map_file, write_map
-from limbcli.phantom.noise import Readings, levels_rows
+from limbcli.phantom.simulated_readings import Readings, levels_rows
 
 TRACE_HEADER = "time_s,force_n,depth_mm,accel_x_g,accel_y_g,accel_z_g"
 

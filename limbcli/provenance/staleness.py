@@ -18,7 +18,7 @@ from limbcli.case.noting import unnoted
 from limbcli.errors import CaseError
 from limbcli.files.atomic import sha256
 from limbcli.provenance.chain_inputs import SITES, in_words, input_path, is_unchanged
-from limbcli.provenance.commands import CommandStep, commands
+from limbcli.provenance.remaking_command import CommandStep, commands
 from limbcli.results import UNLIKE_OURS, StageResult, StageWriter, plain, read_result, stage_folder
 from limbcli.version import __version__
 

@@ -10,7 +10,7 @@ from typing import Any, Literal
 
 from limbcli.case.schema import FAILED
 from limbcli.errors import CaseError
-from limbcli.errors.commands import typed
+from limbcli.errors.pasted_commands import typed
 from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, read_result, stage_folder
 
 SUBJECT_STAGES = ("segment",)

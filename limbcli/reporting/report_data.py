@@ -8,9 +8,9 @@ from pathlib import Path
 from limbcli.case import Case
 from limbcli.measurement.regression import Line
 from limbcli.reporting.figures.convergence import Residuals
-from limbcli.reporting.figures.cycles import Loop
 from limbcli.reporting.figures.deformed import DeformedState
 from limbcli.reporting.figures.force_depth import MeasuredCurve
+from limbcli.reporting.figures.hysteresis_loops import Loop
 from limbcli.reporting.figures.limb_views import LimbPlace
 from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcomes

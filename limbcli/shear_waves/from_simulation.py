@@ -13,8 +13,8 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.pixels import Window, predict_map
 from limbcli.shear_waves.speed import element_speeds
-from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.integration_points import IntegrationPoints
+from limbcli.solvers.solver import Simulation, Table
 
 _MOVED = ("ux", "uy", "uz")
 MEAN_WINDOW = Window(pixel=2.0)

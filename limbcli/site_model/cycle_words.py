@@ -6,8 +6,8 @@ from typing import Any
 
 from limbcli.case import Case, Site
 from limbcli.measurement.cycle_changes import change_text, support_text
-from limbcli.measurement.cycles import CycleStudy
 from limbcli.measurement.indentation import Levels, check_levels
+from limbcli.measurement.repeated_loading import CycleStudy
 from limbcli.site_model.site_levels import cycles_of
 
 

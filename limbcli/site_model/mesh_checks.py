@@ -113,7 +113,7 @@ def geometry_warnings(checks: SiteChecks, *, measured: float | None, margin: flo
 
 def moved_warnings(moved: float, site: Site) -> list[str]:
     """Warn if a place was off the skin by `moved` mm; a marker's centre is expected to be above the skin."""
-    from limbcli.meshing.places import MOVED_MM
+    from limbcli.meshing.sites_on_skin import MOVED_MM
 
     if site.marker is not None or moved <= MOVED_MM:
         return []

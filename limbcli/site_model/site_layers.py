@@ -23,7 +23,7 @@ from limbcli.case import schema as schema
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
 from limbcli.materials.ogden import ogden_type
-from limbcli.meshing.layers import Layer, layers_of
+from limbcli.meshing.conforming_layers import Layer, layers_of
 from limbcli.model import LimbModel, Material
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.results import StageResult

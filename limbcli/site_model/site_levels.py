@@ -8,10 +8,10 @@ from limbcli.case import Site
 from limbcli.case.noting import unnoted
 from limbcli.errors import MeasurementError
 from limbcli.feb.settings import apart, least_level
-from limbcli.measurement.cycles import CycleStudy, study_cycles
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.indentation import LayerNoise, Levels, read_levels
 from limbcli.measurement.levels import LAST
+from limbcli.measurement.repeated_loading import CycleStudy, study_cycles
 from limbcli.measurement.speed_noise import SpeedNoise
 from limbcli.model import Array
 

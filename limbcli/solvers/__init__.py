@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from limbcli.errors import CaseError, LimbError
-from limbcli.solvers.base import Solver
+from limbcli.solvers.solver import Solver
 
 KINDS = ("auto", "febio", "reference")
 ABSENT = "absent"  # identity of a requested solver that is not available

@@ -23,10 +23,10 @@ from limbcli.files.atomic import sha256
 from limbcli.files.temporary_folders import ends_with_this_process
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
-from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.febio_watch import HEARTBEAT_S, LogWatcher, default_limit_s
 from limbcli.solvers.law_check import can_be_checked, check_first_step
-from limbcli.solvers.tables import read_finished, read_tables
+from limbcli.solvers.record_tables import read_finished, read_tables
+from limbcli.solvers.solver import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.untouched import is_without_force, logged_poses, without_force
 
 BINARIES = ("febio4", "febio")

@@ -17,7 +17,7 @@ from limbcli.errors import SolveError
 from limbcli.materials import LAWS
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Array, LimbModel, Material
-from limbcli.solvers.base import Table
+from limbcli.solvers.solver import Table
 
 _GRADIENT = ("Fxx", "Fxy", "Fxz", "Fyx", "Fyy", "Fyz", "Fzx", "Fzy", "Fzz")
 _STRESS = ("sx", "sy", "sz", "sxy", "syz", "sxz")

@@ -17,7 +17,7 @@ import numpy as np
 from limbcli.errors import MeasurementError
 from limbcli.fem.elements.element import shape
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
-from limbcli.solvers.base import Simulation, Table
+from limbcli.solvers.solver import Simulation, Table
 
 FILE = "material_lines.csv"
 _TETRAHEDRA = ("tet4", "tet10")

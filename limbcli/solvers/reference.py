@@ -18,10 +18,10 @@ from limbcli.feb.read import IGNORED, read_feb
 from limbcli.feb.write import write_feb
 from limbcli.model import IntArray, LimbModel
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Simulation
+from limbcli.solvers.record_tables import read_finished
 from limbcli.solvers.reference_files import RunFiles
 from limbcli.solvers.restart import Restart
-from limbcli.solvers.tables import read_finished
+from limbcli.solvers.solver import LOG_FILE, MODEL_FILE, Simulation
 from limbcli.solvers.untouched import without_force
 from limbcli.version import __version__
 

@@ -14,7 +14,7 @@ from limbcli.feb.log import warning_box
 from limbcli.feb.outline import Outline
 from limbcli.feb.read_control import FINAL, MAJOR, MUST_POINTS, output_level
 from limbcli.model import Array, IntArray, LimbModel, LogRecord, Step
-from limbcli.solvers.base import LOG_FILE
+from limbcli.solvers.solver import LOG_FILE
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot

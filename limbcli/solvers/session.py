@@ -17,7 +17,6 @@ import numpy as np
 from limbcli.errors import CaseError, SolveError
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.reference import NAME, prepare
 from limbcli.solvers.session_models import check_same_set_up
 from limbcli.solvers.session_options import StartFrom, StopWhen
@@ -29,6 +28,7 @@ from limbcli.solvers.session_parameters import (
     parameter_values,
 )
 from limbcli.solvers.session_watch import Rows, StateObserver, is_requested, key_of
+from limbcli.solvers.solver import Simulation, Table
 from limbcli.version import __version__
 
 if TYPE_CHECKING:

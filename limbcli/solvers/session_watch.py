@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from limbcli.model import Array, IntArray, LogRecord
-from limbcli.solvers.base import Table
 from limbcli.solvers.session_parameters import Parameter
+from limbcli.solvers.solver import Table
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot

@@ -15,7 +15,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.model.bodies import Contact, RigidBody
-from limbcli.solvers.base import Table
+from limbcli.solvers.solver import Table
 
 if TYPE_CHECKING:
     from limbcli.fem.contacts.pairs import Pair

@@ -15,7 +15,7 @@ from typing import Any
 
 from limbcli.case import Case
 from limbcli.errors import CaseError, LimbError
-from limbcli.errors.commands import pasted
+from limbcli.errors.pasted_commands import pasted
 from limbcli.files.atomic import sha256
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.batch_memory import Memory, code_hash, key_of

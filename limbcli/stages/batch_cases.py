@@ -9,7 +9,7 @@ from pathlib import Path
 from limbcli.case import Case
 from limbcli.config import default_out
 from limbcli.errors import CaseError, FitError, LimbError
-from limbcli.errors.commands import pasted
+from limbcli.errors.pasted_commands import pasted
 from limbcli.files.output_lock import one_writer
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch

@@ -52,7 +52,7 @@ from limbcli.site_model.site_layers import (
     with_layer_laws,
 )
 from limbcli.site_model.site_levels import levels_of, simulated_depths
-from limbcli.solvers.base import MODEL_FILE
+from limbcli.solvers.solver import MODEL_FILE
 
 STAGE = "build-feb"
 ABAQUS_FILE = "model.inp"

@@ -53,7 +53,7 @@ def _frames(case: Case) -> tuple[list[str], list[Problem]]:
 
 def _of_limb(case: Case, surfaces: Mapping[str, Triangles], where: str) -> list[Problem]:
     from limbcli.meshing.anatomy import SKIN, limb_problems
-    from limbcli.meshing.places import place_problems
+    from limbcli.meshing.sites_on_skin import place_problems
 
     found = limb_problems(surfaces, limb=case.limb, where=where)
     return found + place_problems(surfaces[SKIN], _places(case), where=str(case.file))
@@ -114,7 +114,7 @@ def _images(case: Case) -> list[Problem]:
         return []
     from limbcli.imaging.image_files import read_image
     from limbcli.imaging.nearest_skin import RoughSkin, is_inside, reach_of
-    from limbcli.meshing.places import TURNED, judged, problem_of, triple
+    from limbcli.meshing.sites_on_skin import TURNED, judged, problem_of, triple
 
     image = read_image(case.imaging.mri).volume
     skin = RoughSkin(image)

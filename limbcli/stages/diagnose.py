@@ -31,16 +31,16 @@ from limbcli.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA
 from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, large_uncertainty
 from limbcli.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, turned_by_90
-from limbcli.diagnosis.report import (
+from limbcli.diagnosis.written_model import write_diagnosed
+from limbcli.diagnosis.written_result import (
     candidates_picture,
     diagnosis_json,
     gap_picture,
     sizes_of,
     sizes_picture,
 )
-from limbcli.diagnosis.written_model import write_diagnosed
 from limbcli.effects import EFFECTS, Effect, effect
-from limbcli.effects.base import NUMERICAL
+from limbcli.effects.effect import NUMERICAL
 from limbcli.effects.own_file import effect_of_file
 from limbcli.errors import CaseError, LimbError, errors_of_site
 from limbcli.progress import SILENT, Progress

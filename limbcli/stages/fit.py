@@ -20,13 +20,13 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
-from limbcli.fitting.cycles import through_cycle, write_cycle
 from limbcli.fitting.exports import write_mat_file
+from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.fitting.geometry import site_geometry_uncertainty
 from limbcli.fitting.geometry_result import write_geometry
 from limbcli.fitting.kept_solves import KeptSolves
-from limbcli.fitting.layers import write_layers
+from limbcli.fitting.layer_comparison import write_layers
 from limbcli.fitting.model_checks import (
     ChangedForces,
     boundary_modes,
@@ -60,8 +60,8 @@ from limbcli.site_model.site_layers import held_layers
 from limbcli.site_model.site_levels import layer_noise, levels_of, speed_noise
 from limbcli.site_model.site_states import one_state
 from limbcli.solvers import choose
-from limbcli.solvers.base import Simulation, Solver
 from limbcli.solvers.reference import ReferenceSolver
+from limbcli.solvers.solver import Simulation, Solver
 from limbcli.stages.build_feb import tissue_stiffness
 
 if TYPE_CHECKING:

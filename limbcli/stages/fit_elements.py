@@ -15,8 +15,8 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.drawing import save_figure
 from limbcli.errors import SolveError
-from limbcli.fitting.cycles import through_cycle, write_cycle
 from limbcli.fitting.exports import write_table
+from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.options import COMPARISON
 from limbcli.inference.prediction import SolvedPoints

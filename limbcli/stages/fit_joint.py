@@ -21,11 +21,11 @@ from scipy.linalg import block_diag
 from limbcli.case import Case, Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
-from limbcli.fitting.cycles import through_cycle, write_cycle
 from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.fibre_orientations import write_orientations
 from limbcli.fitting.fibre_rest_speed import rest_speed
 from limbcli.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
+from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.fitting.joint_result import law_row, write_comparison, write_joint
@@ -40,7 +40,7 @@ from limbcli.fitting.model_checks import (
 )
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint import JointProblem, JointTask, joint_fit
+from limbcli.inference.joint_fit import JointProblem, JointTask, joint_fit
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import RestSpeed, SiteMeasurement
 from limbcli.inference.site_layers import NO_LAYERS, LayerData

@@ -25,7 +25,7 @@ from limbcli.fitting.states_result import write_states
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states import StateMeasurement, StatesProblem, StatesTask, states_fit
+from limbcli.inference.states_fit import StateMeasurement, StatesProblem, StatesTask, states_fit
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress

@@ -13,12 +13,12 @@ from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
 from limbcli.meshing.anatomy import SKIN, limb_problems
-from limbcli.meshing.layers import Layer, layers_of
+from limbcli.meshing.conforming_layers import Layer, layers_of
 from limbcli.meshing.limb_parts import LimbFrame, LimbParts, limb_frame, limb_parts
 from limbcli.meshing.limb_picture import limb_picture
 from limbcli.meshing.mending import mend
-from limbcli.meshing.places import place_fault
 from limbcli.meshing.quality import dihedral_angles_deg, scaled_jacobians, volumes
+from limbcli.meshing.sites_on_skin import place_fault
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.meshing.whole_limb import (
     DISTAL_CUT,
@@ -63,7 +63,7 @@ from limbcli.stages.limb_model.element_values import (
     with_element_values,
 )
 from limbcli.stages.limb_model.hand_over import LimbFiles, write_limb
-from limbcli.stages.segmenting.places import warnings_of_limb
+from limbcli.stages.segmenting.possible_sites import warnings_of_limb
 from limbcli.stiffness_field import LABELS, Draws, write_draws
 from limbcli.stiffness_field.draws import N_DRAWS
 

@@ -31,10 +31,10 @@ from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.site_levels import layer_noise
-from limbcli.stages.measuring.fibres import write_pennation
 from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
 from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
-from limbcli.stages.measuring.layers import layer_columns, read_borders
+from limbcli.stages.measuring.layers_on_images import layer_columns, read_borders
+from limbcli.stages.measuring.pennation_angle import write_pennation
 
 STAGE = "measure"
 
@@ -132,7 +132,7 @@ def _of_known(known: Levels, instruments: Mapping[str, Any]) -> Columns:
 
 
 def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
-    from limbcli.measurement.picture import draw_bone_lines
+    from limbcli.measurement.instrument_pictures import draw_bone_lines
 
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
     if table["box_pixels"] is None and images[0].is_whole:

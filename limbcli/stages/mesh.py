@@ -13,16 +13,16 @@ from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
+from limbcli.meshing.conforming_layers import Layer
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG, skin_point_at
-from limbcli.meshing.layers import Layer
 from limbcli.meshing.mending import Limb
-from limbcli.meshing.picture import mesh_picture
-from limbcli.meshing.places import place_problems
+from limbcli.meshing.mesh_picture import mesh_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import MIN_ANGLE_DEG, MIN_ANGLE_UNDER_PROBE_DEG
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
+from limbcli.meshing.sites_on_skin import place_problems
 from limbcli.model.npz_file import save_model
 from limbcli.numbers.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.progress import SILENT, Progress
@@ -30,7 +30,7 @@ from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import requested_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.site_model.fibres import with_fibres, write_fibres
+from limbcli.site_model.element_fibres import with_fibres, write_fibres
 from limbcli.site_model.mesh_checks import (
     across_warnings,
     geometry_warnings,
@@ -49,7 +49,7 @@ from limbcli.site_model.site_layers import (
     layers_in,
     with_layer_laws,
 )
-from limbcli.stages.segmenting.places import warnings_of_limb
+from limbcli.stages.segmenting.possible_sites import warnings_of_limb
 
 
 def mesh(

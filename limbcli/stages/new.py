@@ -15,8 +15,8 @@ from limbcli.case.json_schema import case_schema
 from limbcli.case.schema import FILL_IN, plain_name, site_name
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
-from limbcli.errors.commands import typed
 from limbcli.errors.file_system import file_system_errors
+from limbcli.errors.pasted_commands import typed
 from limbcli.files.atomic import atomic_folder
 from limbcli.results import StageResult, provenance
 

@@ -22,7 +22,7 @@ import numpy as np
 from limbcli.case import Case
 from limbcli.case.schema import plain_name
 from limbcli.errors import CaseError
-from limbcli.errors.commands import typed
+from limbcli.errors.pasted_commands import typed
 from limbcli.files.atomic import atomic_folder
 from limbcli.files.temporary_folders import scratch_folder
 from limbcli.phantom import truth

@@ -22,11 +22,11 @@ from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage, plain, stage_folder
 from limbcli.site_model.site_levels import levels_of
 from limbcli.solvers import choose
-from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Solver
 from limbcli.solvers.cautions import cautions
 from limbcli.solvers.febio import FebioSolver, plot_file
 from limbcli.solvers.reference import NAME as REFERENCE
 from limbcli.solvers.restart import RESTART_FILE
+from limbcli.solvers.solver import LOG_FILE, MODEL_FILE, Solver
 from limbcli.stages.running.files import write_simulation
 from limbcli.stages.running.vtu import write_series
 

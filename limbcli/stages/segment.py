@@ -25,9 +25,9 @@ from limbcli.imaging.labels import segmentation_from, write_labels
 from limbcli.imaging.layer_thickness import layers_at
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.marker_skin import without_bumps
-from limbcli.imaging.picture import contact_sheet
 from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, SegmentationHints, segment_limb
+from limbcli.imaging.segmentation_picture import contact_sheet
 from limbcli.imaging.surface import BONE_EDGE, SKIN_EDGE, SMOOTH, surface_of
 from limbcli.imaging.volume import Volume
 from limbcli.meshing.surfaces import Triangles
@@ -37,7 +37,7 @@ from limbcli.provenance.requested_options import requested_of
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.label_maps import labelled_limb
-from limbcli.stages.segmenting.places import report_places
+from limbcli.stages.segmenting.possible_sites import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, from_surfaces, write_skin_aop, write_surfaces
 
 # Loss of a bone's volume by smoothing, as a fraction of that in the label map, above which a warning is

@@ -19,7 +19,7 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
-from limbcli.measurement.cycles import study_cycles
+from limbcli.measurement.repeated_loading import study_cycles
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.site_model.site_levels import all_levels_of
 from limbcli.solvers.session import ReferenceSession

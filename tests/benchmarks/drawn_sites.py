@@ -26,7 +26,7 @@ from scipy.interpolate import PchipInterpolator
 from scipy.optimize import minimize_scalar
 
 from limbcli.effects import effect
-from limbcli.effects.places import layer_share
+from limbcli.effects.stiffness_places import layer_share
 from limbcli.effects.tissue import core, ground_modulus, scaled, tissue_block, with_core
 from limbcli.errors import LimbError, MeshError
 from limbcli.fem.elements.element import reference_gradients, shape
@@ -43,7 +43,7 @@ from limbcli.phantom.case_folder import PROBE, NoiseLaw, case_table, toml
 from limbcli.progress import SILENT
 from limbcli.shear_waves.speed import block_speeds
 from limbcli.site_model.indentation_model import with_penalty
-from limbcli.solvers.base import Simulation
+from limbcli.solvers.solver import Simulation
 from limbcli.stages.build_feb import PROBE as PROBE_BODY
 from limbcli.stages.build_feb import TISSUE
 from limbcli.stages.simulated_subjects.hidden_effects import hide

@@ -21,7 +21,7 @@ from limbcli.feb.settings import schedule
 from limbcli.fitting.fibre_rest_speed import rest_speed
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS, first_shapes
-from limbcli.inference.joint import JointTask, joint_fit
+from limbcli.inference.joint_fit import JointTask, joint_fit
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement

@@ -25,7 +25,7 @@ from scipy.optimize import minimize, minimize_scalar
 
 from limbcli.case import Case
 from limbcli.diagnosis.curves.curve_plan import FIRST_M
-from limbcli.diagnosis.data import noise
+from limbcli.diagnosis.data import noise_parts
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.forward_model.surrogate import AtPoints
 from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA
@@ -135,7 +135,9 @@ def cost_of_site(sizes: Array, each: Off) -> tuple[float, float]:
     apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
     kernel = (1 - share) * np.exp(-apart / near) + share * np.exp(-0.5 * (apart / wide) ** 2)
     kernel *= alike ** np.abs(np.subtract.outer(each.level, each.level)) * np.outer(deviation, deviation)
-    besides = _FAR_SIDE_LEFT**2 * np.outer(each.far_side, each.far_side) + np.eye(len(x)) * noise._RESOLVED**2
+    besides = (
+        _FAR_SIDE_LEFT**2 * np.outer(each.far_side, each.far_side) + np.eye(len(x)) * noise_parts._RESOLVED**2
+    )
 
     def cost(ln_size: float) -> float:
         try:
@@ -180,11 +182,11 @@ def main() -> None:
             found.append(off)
             print(line, flush=True)
     stands = np.array([
-        noise._EVERYWHERE, noise._GROWS, noise._FADES_MM, noise._NEAR_MM, noise._ALIKE, noise._WIDE_SHARE,
-        noise._WIDE_MM,
+        noise_parts._EVERYWHERE, noise_parts._GROWS, noise_parts._FADES_MM, noise_parts._NEAR_MM,
+        noise_parts._ALIKE, noise_parts._WIDE_SHARE, noise_parts._WIDE_MM,
     ])  # fmt: skip
     for name, each in zip(options.only, found, strict=False):
-        print(f"{name}: size {cost_of_site(stands, each)[1]:.2f}, {noise._BELOW_FACE:.2f} stands")
+        print(f"{name}: size {cost_of_site(stands, each)[1]:.2f}, {noise_parts._BELOW_FACE:.2f} stands")
     print(f"ln likelihood of what stands: {-cost(stands, found):.0f}")
     if options.fit:
         most, likeliest = fitted(stands, found)

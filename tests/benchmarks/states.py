@@ -33,7 +33,7 @@ from limbcli.inference.derived import derived_interval
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states import StateMeasurement, StatesTask, states_fit
+from limbcli.inference.states_fit import StateMeasurement, StatesTask, states_fit
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
 from limbcli.site_model.indentation_model import indentation_model

@@ -36,7 +36,7 @@ from scipy.ndimage import median_filter
 from limbcli.case import Case, Site
 from limbcli.diagnosis.data import held_forces
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.noise import SmoothDepth
+from limbcli.diagnosis.data.noise_parts import SmoothDepth
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.data.windows import Windows, pitch_of
 from limbcli.diagnosis.explanations.model.forward_model import Fitted
@@ -45,8 +45,8 @@ from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
 from limbcli.effects import EFFECTS
-from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.curves import force_at
+from limbcli.effects.effect import Effect, Theta, point_name
 from limbcli.effects.reading import read
 from limbcli.errors import LimbError
 from limbcli.measurement.indentation import read_trace

@@ -23,7 +23,7 @@ from pathlib import Path
 import numpy as np
 from scipy.linalg import block_diag
 
-from limbcli.diagnosis.data.noise import MapNoise
+from limbcli.diagnosis.data.noise_parts import MapNoise
 from limbcli.diagnosis.data.rows import SiteRows
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.measurement.elastography import SweMap, read_maps

@@ -11,8 +11,8 @@ import pytest
 from limbcli.cli.app import COMMANDS, command_options, main
 from limbcli.cli.fixes import case_of, for_command_line, out_of
 from limbcli.errors import CaseError, SolveError
-from limbcli.errors.commands import WITHOUT_OUT, pasted, pasted_text
-from limbcli.provenance.commands import CommandStep
+from limbcli.errors.pasted_commands import WITHOUT_OUT, pasted, pasted_text
+from limbcli.provenance.remaking_command import CommandStep
 from limbcli.reporting.outcome import read_outcomes
 from tests.case.test_case_text import two_sites
 

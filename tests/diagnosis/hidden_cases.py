@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnosis.data.noise import ModelError
+from limbcli.diagnosis.data.noise_parts import ModelError
 from limbcli.diagnosis.data.rows import ExtraMeasurement
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.conclusions.sentences import recommended
@@ -22,8 +22,8 @@ from limbcli.diagnosis.forward_model.measurement_menu import ROTATE, items
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.effects import EFFECTS, effect
-from limbcli.effects.places import layer_share
 from limbcli.effects.reading import Reading
+from limbcli.effects.stiffness_places import layer_share
 from limbcli.effects.tissue import ground_modulus, limb_axis, scaled, with_part
 from limbcli.model import Material
 from tests.diagnosis import reduced

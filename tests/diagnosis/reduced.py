@@ -15,8 +15,8 @@ import numpy as np
 
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.effects.base import applied
 from limbcli.effects.curves import Curves
+from limbcli.effects.effect import applied
 from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.effects.ingredients import stiffness_fields
 from limbcli.effects.reading import Protocol as ReadProtocol

@@ -11,7 +11,7 @@ from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot, bl
 from limbcli.diagnosis.explanations.evidence.laplace import posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import Added, LinearEvidence
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise import Noise, independent
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
 from limbcli.numbers.whitening import Whitener
 
 LN_FACTOR = 2.0

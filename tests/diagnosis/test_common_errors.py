@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnosis import report
-from limbcli.diagnosis.data.noise import COMPRESSIBILITY
+from limbcli.diagnosis import written_result
+from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY
 from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise import (
+from limbcli.diagnosis.explanations.model.noise_covariance import (
     CommonError,
     Noise,
     common,
@@ -79,18 +79,20 @@ def _found(noise: Noise, y: np.ndarray, J: np.ndarray) -> tuple[CommonError, ...
 
 
 def test_f_kappa_is_no_surer_than_other_errors_let_it_be() -> None:
-    sure = report.f_kappa_estimate([CommonError(COMPRESSIBILITY, 0.0, 0.01)])
+    sure = written_result.f_kappa_estimate([CommonError(COMPRESSIBILITY, 0.0, 0.01)])
     assert sure is not None
     assert sure["value"] == 100.0
     assert sure["prior_95"][1] is None
     low, high = sure["interval_95"]
     assert sure["prior_95"][0] < low < 55.0
     assert high is None
-    assert 1 / low - 1 / 100.0 == pytest.approx(0.0075 * 1.96 * report._F_KAPPA_ERROR, rel=1e-3)
+    assert 1 / low - 1 / 100.0 == pytest.approx(0.0075 * 1.96 * written_result._F_KAPPA_ERROR, rel=1e-3)
 
 
 def test_f_kappa_of_which_the_data_say_nothing_has_its_prior() -> None:
-    unknown = report.f_kappa_estimate([CommonError("gain", 2.0, 0.1), CommonError(COMPRESSIBILITY, 0.0, 1.0)])
+    unknown = written_result.f_kappa_estimate(
+        [CommonError("gain", 2.0, 0.1), CommonError(COMPRESSIBILITY, 0.0, 1.0)]
+    )
     assert unknown is not None
     assert unknown["interval_95"] == unknown["prior_95"]
-    assert report.f_kappa_estimate([CommonError("gain", 2.0, 0.1)]) is None
+    assert written_result.f_kappa_estimate([CommonError("gain", 2.0, 0.1)]) is None

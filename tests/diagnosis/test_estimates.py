@@ -10,9 +10,9 @@ from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION,
 from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise import Noise, independent
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
 from limbcli.diagnosis.forward_model.predictions import Slot
-from limbcli.diagnosis.report import reported_sizes
+from limbcli.diagnosis.written_result import reported_sizes
 from limbcli.effects import EFFECTS
 from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy

@@ -11,16 +11,16 @@ import pytest
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.layers import BorderLines, line_shift
+from limbcli.diagnosis.data.layer_rows import BorderLines, line_shift
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.diagnosis.report import diagnosis_json, gap_picture
+from limbcli.diagnosis.written_result import diagnosis_json, gap_picture
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, continued
-from limbcli.effects.places import Places
 from limbcli.effects.reading import Protocol, read
+from limbcli.effects.stiffness_places import Places
 from limbcli.measurement.indentation import Levels
 from limbcli.site_model.layer_readings import LayerReadings
 from tests.diagnosis import reduced

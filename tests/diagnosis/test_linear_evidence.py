@@ -8,7 +8,7 @@ from scipy import stats
 
 from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
 from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise import Noise, common, independent
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common, independent
 from limbcli.numbers.whitening import Whitener
 
 N = 14

@@ -7,15 +7,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.data import noise as model_noise
-from limbcli.diagnosis.data.noise import MapNoise
+from limbcli.diagnosis.data import noise_parts as model_noise
+from limbcli.diagnosis.data.noise_parts import MapNoise
 from limbcli.diagnosis.data.rows import SiteRows
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations import search
 from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted
-from limbcli.diagnosis.explanations.model.noise import Noise, independent
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
 from limbcli.effects import effect
-from limbcli.effects.places import Places
+from limbcli.effects.stiffness_places import Places
 from limbcli.measurement.map_noise import PixelNoise
 from tests.stages.block_case import block_model
 

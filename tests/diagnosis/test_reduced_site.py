@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.data.noise import IN_MAPS, LEAST_IN_MAPS, STRAIN, ModelError
+from limbcli.diagnosis.data.noise_parts import IN_MAPS, LEAST_IN_MAPS, STRAIN, ModelError
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.conclusions.sentences import sentences
@@ -18,7 +18,7 @@ from limbcli.diagnosis.explanations.search import form_error
 from limbcli.diagnosis.forward_model.changes import logs
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.diagnosis.report import candidates_picture, diagnosis_json, gap_picture
+from limbcli.diagnosis.written_result import candidates_picture, diagnosis_json, gap_picture
 from limbcli.effects import effect
 from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.reading import Reading, read

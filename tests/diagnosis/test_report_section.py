@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
-from limbcli.diagnosis import report as pictures
+from limbcli.diagnosis import written_result as pictures
 from limbcli.diagnosis.explanations.conclusions.sentences import sentences
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.report import (
+from limbcli.diagnosis.written_result import (
     _in_plausible_sizes,
     candidates_picture,
     diagnosis_json,

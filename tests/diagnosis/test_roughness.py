@@ -7,7 +7,7 @@ import pytest
 
 from limbcli.diagnosis.explanations.model.forward_model import Data
 from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise import Noise, independent
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
 from limbcli.diagnosis.explanations.residuals import roughness
 from limbcli.numbers.whitening import Whitener
 

@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.noise import ModelError, deepest, depth_slopes
+from limbcli.diagnosis.data.noise_parts import ModelError, deepest, depth_slopes
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations.model.linear import LinearFit

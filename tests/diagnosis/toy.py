@@ -24,7 +24,7 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Proposal,
     Scalable,
 )
-from limbcli.diagnosis.explanations.model.noise import Noise, common, independent
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common, independent
 from limbcli.errors import SolveError
 
 N_FORCE, N_SPEED = 13, 11

@@ -11,10 +11,10 @@ from scipy.spatial import Delaunay
 
 import limbcli.effects
 from limbcli.effects import EFFECTS, effect
-from limbcli.effects.base import Effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.drainage import Drainage
+from limbcli.effects.effect import Effect
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.effects.tissue import core
 from limbcli.effects.turn import TURN
@@ -126,7 +126,7 @@ def test_fibres_are_those_of_the_golden_model(base, golden):
 
 def test_skin_has_the_golden_volume_and_stiffness(golden, base):
     """The map's share of each cell, times volume, is the volume of a layer of that thickness."""
-    from limbcli.effects.places import layer_share
+    from limbcli.effects.stiffness_places import layer_share
     from limbcli.solvers.integration_points import IntegrationPoints
 
     share = layer_share(base, 0.0, 1.5)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.effects import inclusion
-from limbcli.effects.places import Places
+from limbcli.effects.stiffness_places import Places
 
 
 @pytest.mark.parametrize(("log_ratio", "edge"), [(1.5, 1.0), (-2.0, 2.5)])

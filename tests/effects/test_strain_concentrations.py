@@ -15,7 +15,7 @@ from limbcli.effects.frozen_deformation import (
     frozen_speed,
     strain_concentrations,
 )
-from limbcli.effects.places import Places, cell_means
+from limbcli.effects.stiffness_places import Places, cell_means
 from tests.diagnosis.reduced import block_model
 
 MODEL = block_model()

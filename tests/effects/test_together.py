@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from limbcli.effects import effect
-from limbcli.effects.base import applied
+from limbcli.effects.effect import applied
 from limbcli.effects.reading import Reading
 from limbcli.effects.tissue import TISSUE, core
 from limbcli.materials import compile_material

@@ -7,7 +7,7 @@ import pickle
 import pytest
 
 from limbcli.errors import CaseError, SolveError, errors_of_site
-from limbcli.errors.commands import pasted
+from limbcli.errors.pasted_commands import pasted
 from limbcli.fem.equilibrium.newton import NotConverged
 from limbcli.stages.batching.cluster import WorkerRefused
 

@@ -11,8 +11,8 @@ from limbcli.errors import CaseError
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
 from limbcli.progress import SILENT
+from limbcli.solvers.record_tables import read_tables
 from limbcli.solvers.reference import ReferenceSolver
-from limbcli.solvers.tables import read_tables
 
 FIRST_NODE, FIRST_CELL = 101, 41
 CORNERS = ["0,0,0", "1,0,0", "1,1,0", "0,1,0", "0,0,1", "1,0,1", "1,1,1", "0,1,1"]

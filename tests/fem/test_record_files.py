@@ -15,8 +15,8 @@ from limbcli.feb.records import read_records
 from limbcli.feb.write import write_feb
 from limbcli.model import LogRecord
 from limbcli.progress import SILENT
-from limbcli.solvers.base import Simulation
 from limbcli.solvers.reference import ReferenceSolver
+from limbcli.solvers.solver import Simulation
 
 
 def run(feb: Path) -> Simulation:

@@ -9,7 +9,7 @@ from limbcli.errors import MeshError
 from limbcli.meshing.anatomy import limb_problems
 from limbcli.meshing.domain import manifold_of
 from limbcli.meshing.mending import mend
-from limbcli.meshing.places import place_problems
+from limbcli.meshing.sites_on_skin import place_problems
 from limbcli.meshing.surfaces import Triangles, join
 
 pytestmark = pytest.mark.slow

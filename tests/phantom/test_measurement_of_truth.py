@@ -13,8 +13,8 @@ from limbcli.measurement import indentation
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.measured_files import write_readings
-from limbcli.phantom.noise import levels_rows, measure
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels, depth_at_force
+from limbcli.phantom.simulated_readings import levels_rows, measure
 
 PROTOCOL = LoadingProtocol(hold=2.0)
 

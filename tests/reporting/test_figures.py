@@ -18,12 +18,12 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
 from limbcli.numbers.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
-from limbcli.reporting.figures.cycles import Loop, cycles
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
-from limbcli.reporting.figures.layers import LayerPicture, layers_figure
+from limbcli.reporting.figures.hysteresis_loops import Loop, cycles
+from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
-from limbcli.reporting.figures.states import StateReading, StatesPanel, states_figure
+from limbcli.reporting.figures.speed_over_stretch import StateReading, StatesPanel, states_figure
 from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
 from limbcli.reporting.figures.study import StudyRow, study_figure
 from limbcli.reporting.figures.style import plain_log

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.reporting.outcome import Failure, Outcome
-from limbcli.reporting.sections.socket import TITLE, socket
+from limbcli.reporting.sections.socket_pressure import TITLE, socket
 from limbcli.results import StageResult
 
 ROW = {

@@ -11,7 +11,7 @@ from limbcli.shear_waves.from_simulation import AT_REST, PointStates, level_maps
 from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
 from limbcli.shear_waves.speed import wave_speed_m_per_s
-from limbcli.solvers.base import Simulation, Table
+from limbcli.solvers.solver import Simulation, Table
 from tests.stages.block_case import block_model
 
 MODEL = block_model("tet10", counts=(6, 4, 3))

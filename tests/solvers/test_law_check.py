@@ -16,8 +16,8 @@ from limbcli.model import LimbModel
 from limbcli.progress import SILENT
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.law_check import can_be_checked, check_first_step
+from limbcli.solvers.record_tables import read_tables
 from limbcli.solvers.reference import ReferenceSolver
-from limbcli.solvers.tables import read_tables
 from tests.stages.block_case import block_model
 
 

@@ -15,9 +15,9 @@ from limbcli.feb.write import write_feb
 from limbcli.fem.motion.rigid import BodyState
 from limbcli.model import LimbModel, LogRecord, Mesh, Surface
 from limbcli.progress import SILENT
-from limbcli.solvers.base import LOG_FILE
 from limbcli.solvers.febio import _say_untouched
 from limbcli.solvers.reference import ReferenceSolver
+from limbcli.solvers.solver import LOG_FILE
 from limbcli.solvers.untouched import without_force
 from tests.fem.small_models import punch
 

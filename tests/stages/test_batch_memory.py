@@ -8,7 +8,7 @@ import pytest
 
 from limbcli.provenance import batch_memory
 from limbcli.provenance.batch_memory import Memory, code_hash, key_of
-from limbcli.provenance.commands import CommandStep
+from limbcli.provenance.remaking_command import CommandStep
 from limbcli.results import open_stage, read_result, stage_folder
 
 

@@ -20,7 +20,7 @@ from limbcli.errors import CaseError, FitError, LimbError, MeasurementError
 from limbcli.feb.read import read_feb
 from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
-from limbcli.provenance.commands import CommandStep
+from limbcli.provenance.remaking_command import CommandStep
 from limbcli.results import StageResult, open_stage
 from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose
 from tests.case.test_case_text import two_sites
@@ -29,7 +29,7 @@ from tests.stages import block_case as block
 EFFECTS = ("force-zero", "depth-zero", "contraction", "poroelasticity", "support-motion")
 OWN = """
 from dataclasses import replace
-from limbcli.effects.base import Effect, Parameter
+from limbcli.effects.effect import Effect, Parameter
 SLIP = Parameter("slip_mm", null=0.0, start=0.2, low=0.0, high=2.0, typical=0.5)
 def observe(reading, theta):
     return replace(reading, depth_zero=reading.depth_zero - theta["slip_mm"])

@@ -18,8 +18,8 @@ from limbcli.errors import SolveError
 from limbcli.feb.read import read_feb
 from limbcli.model import LimbModel
 from limbcli.progress import SILENT
-from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.febio import FebioSolver
+from limbcli.solvers.solver import Simulation, Table
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from tests.stages import block_case as block
 from tests.stages import draining_case

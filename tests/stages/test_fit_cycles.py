@@ -12,7 +12,7 @@ import pytest
 import limbcli
 from limbcli.case import Case
 from limbcli.errors import CaseError
-from limbcli.fitting.cycles import write_cycle
+from limbcli.fitting.fitted_cycle import write_cycle
 from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.provenance.requested_options import in_words
 from limbcli.site_model.site_levels import levels_of, maps_of

@@ -10,13 +10,13 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.feb.settings import schedule
-from limbcli.fitting import layers as fitted_layers
+from limbcli.fitting import layer_comparison as fitted_layers
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS
-from limbcli.fitting.layers import PredictedLayers
+from limbcli.fitting.layer_comparison import PredictedLayers
 from limbcli.measurement.levels import Levels
-from limbcli.reporting.figures.layers import LayerPicture, layers_figure
-from limbcli.reporting.sections.layers import layers
+from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
+from limbcli.reporting.sections.layer_deformation import layers
 from limbcli.results import open_stage
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.material_lines import material_lines

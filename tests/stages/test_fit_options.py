@@ -8,7 +8,7 @@ import pytest
 from limbcli.fitting.options import COMPARISON, FitOptions, check_choice
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.progress import SILENT
-from limbcli.provenance.commands import CommandStep
+from limbcli.provenance.remaking_command import CommandStep
 from limbcli.results import StageResult
 from limbcli.stages import fit as stage
 from limbcli.stages import fit_elements, fit_states

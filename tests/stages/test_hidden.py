@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.effects.places import layer_share
+from limbcli.effects.stiffness_places import layer_share
 from limbcli.effects.tissue import TISSUE
 from limbcli.errors import CaseError
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import LimbModel, Material
 from limbcli.phantom.case_folder import NoiseLaw
-from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
+from limbcli.phantom.simulated_readings import Readings
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, hide, in_order
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table

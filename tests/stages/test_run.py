@@ -16,7 +16,7 @@ from limbcli.errors import CaseError, SolveError, ToolError
 from limbcli.feb.outline import Outline
 from limbcli.feb.read import read_feb
 from limbcli.results import open_stage, read_result
-from limbcli.solvers.base import Simulation, Table
+from limbcli.solvers.solver import Simulation, Table
 from limbcli.stages.run import RunOptions, run, run_file
 from limbcli.stages.running.files import curve_warnings, write_simulation
 from tests.stages.block_case import make_case

@@ -13,7 +13,7 @@ from limbcli.errors import CaseError
 from limbcli.imaging.surface import read_surface, write_surface
 from limbcli.meshing.surfaces import Triangles
 from limbcli.provenance.batch_memory import Memory
-from limbcli.provenance.commands import CommandStep
+from limbcli.provenance.remaking_command import CommandStep
 from limbcli.stages.check_geometry import geometry_findings
 from limbcli.stages.segment import segment
 from limbcli.surface_formats.aop import read_aop_limb

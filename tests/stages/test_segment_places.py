@@ -16,7 +16,7 @@ from limbcli.cli.app import main
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.nearest_skin import RoughSkin
-from limbcli.meshing.places import MOVED_MM, place_fault
+from limbcli.meshing.sites_on_skin import MOVED_MM, place_fault
 from limbcli.meshing.surfaces import read_surface
 from limbcli.stages.check_geometry import geometry_findings
 from limbcli.stages.mesh import mesh

@@ -19,10 +19,10 @@ from limbcli.feb.write import write_feb
 from limbcli.model import ElementMap, LimbModel
 from limbcli.model.npz_file import differences, load_model
 from limbcli.results import read_result
-from limbcli.site_model.fibres import DEFAULT_DIRECTION, with_fibres
+from limbcli.site_model.element_fibres import DEFAULT_DIRECTION, with_fibres
 from limbcli.site_model.indentation_model import indentation_model
-from limbcli.solvers.base import Simulation, Table
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.solver import Simulation, Table
 from limbcli.stages.check import check
 from limbcli.stages.mesh import mesh
 from limbcli.stages.report import report

@@ -19,7 +19,7 @@ from limbcli.fitting.state_plan import plan_of
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states import StateMeasurement, StatesProblem, StatesTask
+from limbcli.inference.states_fit import StateMeasurement, StatesProblem, StatesTask
 from limbcli.shear_waves.speed import material_speeds
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.site_model.prestretch import StretchAxes, prestretched, skin_rise, through_depths

@@ -13,11 +13,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.diagnosis.curves.site_solver import Solve
-from limbcli.diagnosis.data.layers import BorderLines
+from limbcli.diagnosis.data.layer_rows import BorderLines
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.curves import Curves
 from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_speed, strain_concentrations
-from limbcli.effects.places import Stiffness
+from limbcli.effects.stiffness_places import Stiffness
 from limbcli.effects.tissue import thickness
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.solvers.integration_points import IntegrationPoints

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.effects.base import applied
+from limbcli.effects.effect import applied
 from limbcli.effects.ingredients import Ingredients, stiffness_fields
 from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import model_hash

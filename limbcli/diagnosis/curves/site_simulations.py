@@ -18,7 +18,7 @@ from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, w
 from limbcli.diagnosis.curves.node_table import NodeTable
 from limbcli.diagnosis.curves.site_models import SiteModels, fingerprint
 from limbcli.diagnosis.curves.site_solver import SiteSolver, SolvedCurves
-from limbcli.diagnosis.data.layers import BorderLines
+from limbcli.diagnosis.data.layer_rows import BorderLines
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.curves import Curves, continued
 from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed

@@ -13,7 +13,7 @@ from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.held_forces import HeldForces
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations.model.forward_model import Mask
-from limbcli.diagnosis.explanations.model.noise import NoisePart
+from limbcli.diagnosis.explanations.model.noise_covariance import NoisePart
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap

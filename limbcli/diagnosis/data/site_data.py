@@ -10,8 +10,8 @@ import numpy as np
 
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.layers import layer_slopes
-from limbcli.diagnosis.data.noise import (
+from limbcli.diagnosis.data.layer_rows import layer_slopes
+from limbcli.diagnosis.data.noise_parts import (
     FEWEST_SMOOTH,
     STRAIN,
     MapNoise,
@@ -30,7 +30,7 @@ from limbcli.diagnosis.data.rows import (
 )
 from limbcli.diagnosis.data.windows import Windows, pitch_of
 from limbcli.diagnosis.explanations.model.forward_model import Data, Mask
-from limbcli.diagnosis.explanations.model.noise import Noise, common
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
 from limbcli.measurement.elastography import SweMap

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from limbcli.effects.frozen_deformation import ScannerView
-from limbcli.effects.places import Places
+from limbcli.effects.stiffness_places import Places
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.shear_waves.pixels import Window, pixel_averages

@@ -15,7 +15,7 @@ from scipy.special import chdtrc
 
 from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted, Mask
 from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise import EXCESS
+from limbcli.diagnosis.explanations.model.noise_covariance import EXCESS
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 

@@ -26,7 +26,7 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Fitted,
     ForwardModel,
 )
-from limbcli.diagnosis.explanations.model.noise import correlated
+from limbcli.diagnosis.explanations.model.noise_covariance import correlated
 from limbcli.diagnosis.explanations.probabilities import Explained, PriorOdds, containing, probabilities
 from limbcli.errors import LimbError
 from limbcli.model import Array

@@ -16,9 +16,9 @@ from scipy.interpolate import CubicSpline
 
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.layers import line_shift
-from limbcli.effects.base import Effect, Parameter, Theta, point_name
+from limbcli.diagnosis.data.layer_rows import line_shift
 from limbcli.effects.curves import Curves, gaps_filled
+from limbcli.effects.effect import Effect, Parameter, Theta, point_name
 from limbcli.effects.ingredients import Ingredients, touches_loads
 from limbcli.errors import SolveError
 from limbcli.model import Array

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnosis.data.noise import SmoothDepth, maps_model_error
+from limbcli.diagnosis.data.noise_parts import SmoothDepth, maps_model_error
 from limbcli.diagnosis.data.rows import ExtraMeasurement
 from limbcli.diagnosis.data.site_data import USUAL_THICKNESS, SiteData
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Proposal

@@ -12,14 +12,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.joint import joined
+from limbcli.diagnosis.data.joint_measurements import joined
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Prior
 from limbcli.diagnosis.forward_model.changes import only_febio
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.effects.base import Effect, Parameter, Theta
 from limbcli.effects.curves import Curves
+from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m
-from limbcli.diagnosis.data.noise import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
+from limbcli.diagnosis.data.noise_parts import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
 from limbcli.diagnosis.explanations.evidence.laplace import posterior
 from limbcli.diagnosis.explanations.model.forward_model import (
     Data,
@@ -29,7 +29,7 @@ from limbcli.diagnosis.forward_model.fits import Fits
 from limbcli.diagnosis.forward_model.measurement_menu import menu
 from limbcli.diagnosis.forward_model.predictions import NOTHING, Predictions, Slot, held_points
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.effects.base import Effect, Theta, point_name
+from limbcli.effects.effect import Effect, Theta, point_name
 from limbcli.errors import LimbError, SolveError
 from limbcli.model import Array
 

@@ -22,8 +22,8 @@ from limbcli.diagnosis.explanations.model.forward_model import Explanation
 from limbcli.diagnosis.forward_model.changes import Changes, logs, without_spikes
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.diagnosis.mesh_error.penetration import Penetration
-from limbcli.effects.base import Effect, Theta, point_name
 from limbcli.effects.curves import Curves, gaps_filled, without_gaps
+from limbcli.effects.effect import Effect, Theta, point_name
 from limbcli.effects.reading import Reading
 from limbcli.errors import LimbError
 from limbcli.model import Array

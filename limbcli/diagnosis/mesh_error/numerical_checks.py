@@ -17,13 +17,13 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.noise import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
+from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, START_M, own_run
 from limbcli.diagnosis.mesh_error.penetration import LEFT_ERROR, Penetration, penetration
 from limbcli.effects import Effect, effect
-from limbcli.effects.base import Parameter, Theta
 from limbcli.effects.curves import Curves, depth_at, gaps_filled, log_force_at
+from limbcli.effects.effect import Parameter, Theta
 from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
 from limbcli.effects.turn import TURN

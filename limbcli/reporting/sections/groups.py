@@ -10,23 +10,23 @@ from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Reportlet, table
 from limbcli.reporting.sections.convergence import convergence, profiles
-from limbcli.reporting.sections.cycles import repeated_loading
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
-from limbcli.reporting.sections.fibres import fibres
+from limbcli.reporting.sections.fibre_direction import fibres
 from limbcli.reporting.sections.force_depth import force_over_depth
-from limbcli.reporting.sections.joint import joint, laws
-from limbcli.reporting.sections.layers import layers
+from limbcli.reporting.sections.joint_fit import joint, laws
+from limbcli.reporting.sections.layer_deformation import layers
 from limbcli.reporting.sections.limb import limb
 from limbcli.reporting.sections.mesh import mesh
 from limbcli.reporting.sections.methods import methods
 from limbcli.reporting.sections.numerics import elements, mesh_study
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.provenance import provenance
+from limbcli.reporting.sections.repeatability import repeated_loading
 from limbcli.reporting.sections.segmentation import segmentation
-from limbcli.reporting.sections.socket import socket
-from limbcli.reporting.sections.states import states
+from limbcli.reporting.sections.socket_pressure import socket
+from limbcli.reporting.sections.unloaded_state import states
 
 
 @dataclass(frozen=True, eq=False)

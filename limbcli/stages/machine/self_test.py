@@ -35,7 +35,7 @@ from limbcli.model import (
 )
 from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.progress import SILENT, Progress
-from limbcli.solvers.base import Solver
+from limbcli.solvers.solver import Solver
 
 SIDE, HEIGHT, DEPTH = 8.0, 6.0, 2.0  # mm
 C, F_KAPPA, M = 0.008, 5.0, 4.0  # MPa, 1, 1

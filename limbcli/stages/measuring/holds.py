@@ -37,7 +37,7 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
     MeasurementError
         If the record cannot be read, or contains no hold.
     """
-    from limbcli.measurement.picture import draw_holds
+    from limbcli.measurement.instrument_pictures import draw_holds
 
     trace, holds = holds_of(table)
     draw_holds(trace, holds, writer.file("holds_picture", "holds.png"))

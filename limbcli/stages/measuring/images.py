@@ -119,7 +119,7 @@ def measured_speeds(
     table: Mapping[str, Any], tissue: TissueBetween, writer: StageWriter, progress: Progress
 ) -> dict[str, Sequence[float]]:
     """The columns of speeds; also writes the maps of all levels and a box plot."""
-    from limbcli.measurement.picture import draw_speeds
+    from limbcli.measurement.instrument_pictures import draw_speeds
 
     images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
     if table["image_pixels"] is None and images[0].is_whole:

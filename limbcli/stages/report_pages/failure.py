@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from limbcli.errors import LimbError
-from limbcli.errors.commands import pasted, typed
+from limbcli.errors.pasted_commands import pasted, typed
 from limbcli.reporting.outcome import Failure, problems_of
 from limbcli.reporting.page import render
 from limbcli.results import StageResult, open_stage, provenance

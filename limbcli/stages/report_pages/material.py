@@ -22,9 +22,9 @@ from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.results import UNLIKE_OURS, StageResult
 from limbcli.site_model.site_levels import layer_noise
-from limbcli.stages.report_pages.cycles import cycle_material
-from limbcli.stages.report_pages.places import limb_place, limb_skin
+from limbcli.stages.report_pages.loading_cycles import cycle_material
 from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
+from limbcli.stages.report_pages.site_on_limb import limb_place, limb_skin
 from limbcli.stages.report_pages.stale import stale_results
 
 

@@ -17,8 +17,8 @@ from limbcli.progress import PROGRESS_FILE, read_events
 from limbcli.reporting.figures.convergence import Residuals
 from limbcli.reporting.figures.deformed import DeformedState
 from limbcli.results import StageResult
-from limbcli.solvers.base import LOG_FILE, MODEL_FILE, Table
-from limbcli.solvers.tables import read_tables
+from limbcli.solvers.record_tables import read_tables
+from limbcli.solvers.solver import LOG_FILE, MODEL_FILE, Table
 
 _MODEL_FILES = ("fitted.feb", MODEL_FILE)
 _GRADIENT = tuple(f"F{row}{column}" for row in "xyz" for column in "xyz")

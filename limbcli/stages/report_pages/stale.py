@@ -6,7 +6,7 @@ from pathlib import Path
 
 from limbcli.case import Case
 from limbcli.files.atomic import sha256
-from limbcli.provenance.commands import commands
+from limbcli.provenance.remaking_command import commands
 from limbcli.provenance.staleness import BrokenLink, Chain
 from limbcli.reporting.outcome import Outcomes
 

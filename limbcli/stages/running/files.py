@@ -15,8 +15,8 @@ from limbcli.feb.outline import Outline
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array
 from limbcli.results import StageWriter
-from limbcli.solvers.base import Simulation
 from limbcli.solvers.febio_versions import reaction_caution, version_caution
+from limbcli.solvers.solver import Simulation
 from limbcli.stages.running.travel import travel
 
 COLUMNS = ("time_s", "depth_mm", "force_n")

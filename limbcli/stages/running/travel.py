@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.model import Array
-from limbcli.solvers.base import Table
+from limbcli.solvers.solver import Table
 
 AXES = "xyz"
 _NO_FORCE = 1e-9  # force that is round-off, relative to the largest

@@ -14,7 +14,7 @@ from limbcli.feb.read import read_feb
 from limbcli.meshing.export import fibre_rows
 from limbcli.model import Array, LimbModel
 from limbcli.results import StageWriter
-from limbcli.solvers.base import Simulation, Table
+from limbcli.solvers.solver import Simulation, Table
 
 FOLDER = "vtu"
 SERIES = "vtu/series.pvd"

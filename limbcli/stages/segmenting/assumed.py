@@ -6,7 +6,7 @@ from limbcli.case import Case
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.assumed_geometry import assumed_limb
 from limbcli.stages.segmenting.assumed_picture import draw_assumed
-from limbcli.stages.segmenting.places import report_places
+from limbcli.stages.segmenting.possible_sites import report_places
 from limbcli.stages.segmenting.surfaces import check_limb, frames_of, write_surfaces
 
 ASSUMED = "assumed"

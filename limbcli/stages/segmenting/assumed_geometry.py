@@ -22,9 +22,9 @@ from limbcli.errors.problems import Problem, errors_of, raise_errors
 from limbcli.imaging.surface import BONE_EDGE, SKIN_EDGE
 from limbcli.meshing.frame import proximal_direction, site_frame
 from limbcli.meshing.mending import Limb, mend, skin_and_bones
-from limbcli.meshing.places import place_problems
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.rods import BoneHit, Rod, limb_axis, rods_for, tube
+from limbcli.meshing.sites_on_skin import place_problems
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 from limbcli.site_model.mesh_checks import measured_skin_bone

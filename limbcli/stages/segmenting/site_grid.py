@@ -14,7 +14,7 @@ from limbcli.files.plain_text import text_cell
 from limbcli.meshing.facets import divided
 from limbcli.meshing.frame import proximal_direction, ray_hits
 from limbcli.meshing.mending import Limb
-from limbcli.meshing.places import triple
+from limbcli.meshing.sites_on_skin import triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 

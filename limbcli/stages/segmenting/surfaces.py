@@ -23,12 +23,12 @@ from limbcli.meshing.mending import (
     turned_inward,
     without_cavities,
 )
-from limbcli.meshing.places import triple
+from limbcli.meshing.sites_on_skin import triple
 from limbcli.meshing.surfaces import Triangles, join
 from limbcli.model import Array
 from limbcli.results import StageWriter
 from limbcli.stages.segmenting.bone_names import names_of_bodies, names_of_files, numbered
-from limbcli.stages.segmenting.places import report_places
+from limbcli.stages.segmenting.possible_sites import report_places
 from limbcli.surface_formats.aop import aop_limb, read_aop_limb, write_aop
 from limbcli.surface_formats.colours import has_colours
 from limbcli.surface_formats.stated_frame import mixed_frames, stated_frame

@@ -15,15 +15,15 @@ import numpy as np
 from scipy.signal import lfilter
 
 from limbcli.effects import effect
-from limbcli.effects.base import Effect, Theta
-from limbcli.effects.places import layer_share
+from limbcli.effects.effect import Effect, Theta
+from limbcli.effects.stiffness_places import layer_share
 from limbcli.effects.tissue import fibre_direction, ground_modulus, scaled, with_part
 from limbcli.errors import CaseError
 from limbcli.errors.problems import suggestion
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel, Material, Value
-from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import TrueLevels
+from limbcli.phantom.simulated_readings import Readings
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

@@ -27,9 +27,9 @@ from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
 from limbcli.shear_waves.speed import block_speeds, element_speeds
 from limbcli.site_model.prestretch import in_state, skin_rise, with_nodes_moved
-from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import displacements, material_lines
 from limbcli.solvers.session import ReferenceSession, path_dependent
+from limbcli.solvers.solver import Simulation
 from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
 
 Change = Callable[[LimbModel], LimbModel]

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 
 from limbcli.phantom.case_folder import NoiseLaw
-from limbcli.phantom.noise import Readings
 from limbcli.phantom.protocol import TrueLevels
+from limbcli.phantom.simulated_readings import Readings
 from limbcli.stages.simulated_subjects.known_stretches import TrueState
 from limbcli.stages.simulated_subjects.synth_case import noise_table
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions

@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.check import Check
 from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot
 from limbcli.diagnosis.explanations.conclusions.estimates import Estimates
 from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Facts, Fitted
-from limbcli.diagnosis.explanations.model.noise import CommonError
+from limbcli.diagnosis.explanations.model.noise_covariance import CommonError
+from limbcli.diagnosis.explanations.predictive_check import Check
 from limbcli.diagnosis.explanations.probabilities import Explained
 from limbcli.diagnosis.explanations.residuals import Roughness
 

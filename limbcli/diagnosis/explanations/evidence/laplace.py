@@ -19,7 +19,7 @@ import numpy as np
 
 from limbcli.diagnosis.explanations.evidence.truncated import ln_probability
 from limbcli.diagnosis.explanations.model.forward_model import Fitted, Scalable
-from limbcli.diagnosis.explanations.model.noise import Noise
+from limbcli.diagnosis.explanations.model.noise_covariance import Noise
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 

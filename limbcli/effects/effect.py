@@ -7,8 +7,8 @@ from collections.abc import Callable, Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from limbcli.effects.places import Places
 from limbcli.effects.reading import Reading
+from limbcli.effects.stiffness_places import Places
 from limbcli.model import Array, LimbModel
 
 Theta = Mapping[str, float]

@@ -8,8 +8,8 @@ from typing import Any
 from limbcli.case import Site
 from limbcli.feb.settings import schedule
 from limbcli.measurement.cycle_changes import change_text
-from limbcli.measurement.cycles import CycleStudy, Difference
 from limbcli.measurement.indentation import Levels
+from limbcli.measurement.repeated_loading import CycleStudy, Difference
 from limbcli.model import LimbModel
 from limbcli.results import StageWriter
 from limbcli.site_model.indentation_model import PROBE, start_at, starting_depth

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.bmode import BoneLine
+from limbcli.measurement.instrument_pictures import draw_pennation
 from limbcli.measurement.pennation import read_pennation
-from limbcli.measurement.picture import draw_pennation
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 from limbcli.results import StageWriter
 

@@ -11,10 +11,10 @@ import pytest
 
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.measurement.cycle_changes import change_text, changes, support_text
-from limbcli.measurement.cycles import Difference, compare, cycle_energy, study_cycles
 from limbcli.measurement.hold_cycles import cycles_of_holds
 from limbcli.measurement.indentation import read_levels
 from limbcli.measurement.levels import Levels
+from limbcli.measurement.repeated_loading import Difference, compare, cycle_energy, study_cycles
 from tests.measurement.repeated import FORCE, depth_of, repeated
 
 NOISE = {"force_deviation": 0.1, "depth_deviation": 0.3}

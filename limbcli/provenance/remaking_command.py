@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limbcli.errors.commands import typed
+from limbcli.errors.pasted_commands import typed
 from limbcli.provenance.requested_options import in_words
 from limbcli.results import StageResult
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from limbcli.reporting.figures.cycles import Loop, cycles
+from limbcli.reporting.figures.hysteresis_loops import Loop, cycles
 from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, table

@@ -13,7 +13,7 @@ from limbcli.case.noting import unnoted
 from limbcli.effects.tissue import TISSUE, limb_axis
 from limbcli.errors import CaseError
 from limbcli.meshing.fibre_picture import fibre_picture
-from limbcli.meshing.fibres import ImageAngle, direction_of_angles, mean_axis
+from limbcli.meshing.fibres_from_angles import ImageAngle, direction_of_angles, mean_axis
 from limbcli.meshing.frame import probe_axis
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import FIBRES, Array, ElementMap, LimbModel

@@ -7,10 +7,10 @@ import pytest
 
 from limbcli.errors import CaseError
 from limbcli.meshing.checks import layers_kept
+from limbcli.meshing.conforming_layers import core_of, layers_of, open_ended
 from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import make_domain
 from limbcli.meshing.frame import site_frame
-from limbcli.meshing.layers import core_of, layers_of, open_ended
 from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import volumes

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.meshing.places import MOST_MOVED_MM, place_fault, place_problems
+from limbcli.meshing.sites_on_skin import MOST_MOVED_MM, place_fault, place_problems
 from limbcli.meshing.surfaces import Triangles
 
 

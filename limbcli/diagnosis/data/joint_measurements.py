@@ -11,10 +11,10 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from limbcli.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.diagnosis.data.noise_parts import GAIN_OF_SPEEDS
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations.model.forward_model import Data, Mask
-from limbcli.diagnosis.explanations.model.noise import ASSUMED, Noise, NoisePart, common
+from limbcli.diagnosis.explanations.model.noise_covariance import ASSUMED, Noise, NoisePart, common
 
 
 def joined(sites: Sequence[SiteData]) -> Data:

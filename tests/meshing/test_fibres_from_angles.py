@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
-from limbcli.meshing.fibres import ImageAngle, direction_of_angles, mean_axis
+from limbcli.meshing.fibres_from_angles import ImageAngle, direction_of_angles, mean_axis
 
 PROXIMAL, ACROSS, BEAM = np.array([0.0, 0, 1]), np.array([1.0, 0, 0]), np.array([0.0, 1, 0])
 

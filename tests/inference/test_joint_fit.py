@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import FitError, SolveError
-from limbcli.inference.joint import C_SPAN, JointProblem, JointTask, held_out_error, joint_fit
+from limbcli.inference.joint_fit import C_SPAN, JointProblem, JointTask, held_out_error, joint_fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement, invert, predict_site

@@ -11,7 +11,7 @@ from limbcli.case import Case
 from limbcli.errors import MeshError
 from limbcli.errors.problems import Problem
 from limbcli.meshing.mending import mend
-from limbcli.meshing.places import place_faults, problem_of, triple
+from limbcli.meshing.sites_on_skin import place_faults, problem_of, triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.results import StageResult, StageWriter
 from limbcli.stages.segmenting.places_picture import draw_places

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from matplotlib.figure import Figure
 
-from limbcli.imaging import picture
-from limbcli.imaging.picture import contact_sheet, slice_axes
+from limbcli.imaging import segmentation_picture
 from limbcli.imaging.segmentation import MARKER, Segmentation
+from limbcli.imaging.segmentation_picture import contact_sheet, slice_axes
 from limbcli.imaging.volume import Volume
 
 
@@ -22,7 +22,7 @@ def _finer(mask: np.ndarray, affine: np.ndarray) -> Volume:
 
 def sheet(monkeypatch: pytest.MonkeyPatch, across: float, *, marker: bool) -> Figure:
     kept: list[Figure] = []
-    monkeypatch.setattr(picture, "save_picture", lambda figure, *_, **__: kept.append(figure))
+    monkeypatch.setattr(segmentation_picture, "save_picture", lambda figure, *_, **__: kept.append(figure))
     affine = np.diag([across, 1.0, 3.0, 1.0])
     inside = np.zeros((24, 20, 4), bool)
     inside[4:20, 4:16] = True

@@ -18,11 +18,11 @@ from limbcli.fitting.exports import write_table
 from limbcli.fitting.predicted_speeds import AT_REST, simulated_rows
 from limbcli.measurement.levels import Levels
 from limbcli.model import Array, IntArray, LimbModel
-from limbcli.reporting.figures.layers import LayerPicture, layers_figure
+from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
 from limbcli.results import StageWriter
 from limbcli.site_model.layer_readings import LayerReadings, layer_readings
-from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import displacements
+from limbcli.solvers.solver import Simulation
 
 _FAR = 3.0  # mm, lateral drift of the marked border off the beam above which a warning is given
 

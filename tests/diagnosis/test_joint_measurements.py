@@ -7,13 +7,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.data.joint import joined, slices
-from limbcli.diagnosis.data.noise import GAIN_OF_SPEEDS
+from limbcli.diagnosis.data.joint_measurements import joined, slices
+from limbcli.diagnosis.data.noise_parts import GAIN_OF_SPEEDS
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.diagnosis.report import reported_sizes, sizes_of
+from limbcli.diagnosis.written_result import reported_sizes, sizes_of
 from limbcli.effects import effect
 from limbcli.effects.reading import Reading
 from tests.diagnosis import reduced

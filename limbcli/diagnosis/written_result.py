@@ -11,21 +11,21 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnosis.data.joint import slices
-from limbcli.diagnosis.data.noise import COMPRESSIBILITY
+from limbcli.diagnosis.data.joint_measurements import slices
+from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.check import Check
 from limbcli.diagnosis.explanations.conclusions.estimates import PRIOR, TISSUE
 from limbcli.diagnosis.explanations.conclusions.sentences import recommended
 from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
-from limbcli.diagnosis.explanations.model.noise import CommonError
+from limbcli.diagnosis.explanations.model.noise_covariance import CommonError
+from limbcli.diagnosis.explanations.predictive_check import Check
 from limbcli.diagnosis.explanations.probabilities import Explained
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.mesh_error.numerical_checks import f_kappa_at
 from limbcli.drawing import save_figure
-from limbcli.effects.base import Parameter
+from limbcli.effects.effect import Parameter
 
 Interval = tuple[float | None, float | None]
 _ON_BOUND = 0.01  # distance from a bound, as a fraction of the range, from which an interval is open there

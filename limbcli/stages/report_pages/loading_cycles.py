@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.case import Site
-from limbcli.fitting.cycles import contradiction
-from limbcli.measurement.cycles import CycleStudy
+from limbcli.fitting.fitted_cycle import contradiction
 from limbcli.measurement.indentation import Levels
-from limbcli.reporting.figures.cycles import Loop
+from limbcli.measurement.repeated_loading import CycleStudy
+from limbcli.reporting.figures.hysteresis_loops import Loop
 from limbcli.reporting.report_data import CycleMaterial
 from limbcli.site_model.cycle_words import capital, cycle_sentences
 from limbcli.site_model.site_levels import cycles_of

@@ -16,7 +16,7 @@ import numpy as np
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
-from limbcli.inference.joint import gain_of_mesh, start_c
+from limbcli.inference.joint_fit import gain_of_mesh, start_c
 from limbcli.inference.likelihood import EvenSpeed, Likelihood, Place, SiteBlock
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints

@@ -13,7 +13,7 @@ from limbcli.feb.log_identity import check_belongs
 from limbcli.feb.outline import Outline, read_outline
 from limbcli.feb.records import Records, read_records
 from limbcli.model import Array, LogRecord
-from limbcli.solvers.base import LOG_FILE, Simulation, Table
+from limbcli.solvers.solver import LOG_FILE, Simulation, Table
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,16 +12,16 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.diagnosis.data.rows import LAYER, SiteRows
-from limbcli.diagnosis.explanations.model.noise import NoisePart, common
-from limbcli.effects.base import Effect, Theta
+from limbcli.diagnosis.explanations.model.noise_covariance import NoisePart, common
 from limbcli.effects.curves import Curves
-from limbcli.effects.places import Places
+from limbcli.effects.effect import Effect, Theta
 from limbcli.effects.reading import Protocol
+from limbcli.effects.stiffness_places import Places
 from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.site_model.indentation_model import tissue_nodes
 from limbcli.site_model.layer_readings import LayerReadings
-from limbcli.solvers.base import Simulation
 from limbcli.solvers.material_lines import FILE, material_lines
+from limbcli.solvers.solver import Simulation
 
 FIRST_TOUCH = "measurement: layers at first touch"
 # Standard deviation of a thickness from the model error: fractions of the layer's thinning and of the depth.

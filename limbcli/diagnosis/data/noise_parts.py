@@ -14,9 +14,15 @@ import numpy as np
 
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.layers import layer_noise
+from limbcli.diagnosis.data.layer_rows import layer_noise
 from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, ExtraMeasurement, SiteRows, Stacked, within
-from limbcli.diagnosis.explanations.model.noise import NoisePart, common, correlated, independent, of_groups
+from limbcli.diagnosis.explanations.model.noise_covariance import (
+    NoisePart,
+    common,
+    correlated,
+    independent,
+    of_groups,
+)
 from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
