@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 
 # Module of each public name; a test compares this list, and the signatures, with the documented interface.
 _PUBLIC = {
-    "api.base": ("Result", "SiteResults"),
+    "api.result": ("Result", "SiteResults"),
     "api.cohorts": ("BatchResult", "CaseResult", "CohortResult", "FailedStage", "batch", "cohort"),
     "api.diagnosis": ("DiagnosisResult", "ReportResult", "diagnose", "report"),
     "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult", "StatesFitResult"),
@@ -105,7 +105,7 @@ _PUBLIC = {
     "feb.write": ("write_feb",),
     "model": ("LimbModel",),
     "progress": ("Progress",),
-    "solvers.base": ("Simulation",),
+    "solvers.solver": ("Simulation",),
     "solvers.session": ("MustPoints", "ReferenceSession", "SessionResult"),
     "solvers.session_options": ("StartFrom", "StopWhen"),
 }  # fmt: skip

@@ -5,7 +5,7 @@
 For every site of the FEBio study in the reference data (`febio-hidden`) with maps free of noise and without
 its hidden effect: segmented and meshed into FOLDER, its working mesh tied to its own as `diagnose` does, and
 ln speed of its parts at the true c, m and f_kappa (to first order) less FEBio's, at eight forces. A line a
-site; with --fit the constants of `diagnosis.data.noise` by maximum likelihood, beside those
+site; with --fit the constants of `diagnosis.data.noise_parts` by maximum likelihood, beside those
 that stand there, whose size is meant to be that of the worst site. What the limb's
 far side rests on is allowed for as in a diagnosis.
 """

@@ -1,7 +1,7 @@
 """All numbers that a diagnosis decides by: value, meaning and source.
 
 Sizes of the noise and of the model's errors are no decisions; they are defined with the readings
-(`diagnosis.data.noise`), and the priors of effects with the effects.
+(`diagnosis.data.noise_parts`), and the priors of effects with the effects.
 """
 
 from __future__ import annotations

@@ -78,7 +78,7 @@ def hide(text: str) -> Hidden:
 def in_order(hidden: Sequence[Hidden]) -> tuple[Hidden, ...]:
     """The effects in the order in which they are applied, independent of the order in which they are given.
 
-    In the model, factors on all stiffnesses come last, as in `effects.base.applied`; readings are distorted
+    In the model, factors on all stiffnesses come last, as in `effects.effect.applied`; readings are distorted
     in the order of `_READINGS`, from the tissue to the instruments' scales.
     """
     readings = list(_READINGS)
