@@ -65,7 +65,7 @@ def socket(
         ),
     ] = PENETRATION_MM,
     intervals: Annotated[
-        bool, Option("95 % limits of pressure and shear, from the limb's draws (up to eight more solves).")
+        bool, Option("95 % limits of pressure and shear, from the limb's draws (up to twelve more solves).")
     ] = True,
     templates: Annotated[PathLike | None, TEMPLATES] = None,
     wait: Annotated[bool, WAIT] = True,

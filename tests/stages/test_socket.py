@@ -11,11 +11,12 @@ from types import SimpleNamespace
 import meshio
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 import limbcli
 from limbcli.case import Case
 from limbcli.case.socket import KneeInput, LinerInput, SocketInput
-from limbcli.errors import CaseError, MeshError
+from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model.npz_file import load_model
@@ -287,7 +288,26 @@ def test_a_socket_that_may_sit_elsewhere_has_its_share(tmp_path: Path):
     found = pressure_intervals(_one_element(c=0.008), 0.3, [row(1.0, 0.3)], drawn, solved, SILENT)
     assert found.shares[400.0]["alignment"] == pytest.approx(0.8, abs=0.06)
     assert sum(found.shares[400.0].values()) == pytest.approx(1.0)
-    assert found.n_solves == 4
+    assert found.n_solves == 6, "each shift on both sides"
+
+
+def test_a_pressure_that_rises_on_either_side_has_its_interval(tmp_path: Path):
+    """40 kPa + x^2, x normal with a deviation of 2 mm: of chi2 with one degree of freedom, four times.
+    Where a solve far to one side has no equilibrium, a nearer one gives the same parabola."""
+    lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(4000))]
+    (tmp_path / "draws.csv").write_text("\n".join(lines))
+    drawn = drawn_values(tmp_path / "draws.csv", 0.0, 0.0, shift_mm=2.0)
+
+    def solved(_model, _friction, pose):
+        if pose[2] > 3.0:
+            raise SolveError("no equilibrium", where="test", fix="none")
+        return [row(1.0, 0.3, 0.5 * pose[2] ** 2)]
+
+    found = pressure_intervals(_one_element(c=0.008), 0.0, [row(1.0, 0.3)], drawn, solved, SILENT)
+    low, high = found.intervals[400.0, WHOLE, "mean_kpa"]
+    assert low == pytest.approx(40.0, abs=0.02)
+    assert high == pytest.approx(40.0 + 4 * chi2.ppf(0.975, 1), rel=0.03)
+    assert found.error_fraction < 1e-9
 
 
 def _one_element(c: float):

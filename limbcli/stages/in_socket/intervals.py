@@ -1,9 +1,14 @@
 """Intervals of the pressures over the limb's draws, from a few more solves.
 
-Every quantity of the table is taken as linear in ln c and ln m (their means over the limb), the friction, and
-the socket's place on the limb (turned about and shifted along the two directions across it): one solve each,
-one standard deviation away. Another solve, with all of them one deviation to the other side, is held out
-and says how far the line is off. How c varies from place to place within a draw is not followed.
+Every quantity of the table is taken as a sum over ln c, ln m (their means over the limb), the friction, and
+the socket's place on the limb (turned about and shifted along the two directions across it): linear in the
+first three, by one solve each, one standard deviation away; a parabola in the others, by a solve on either
+side, since a socket that is off presses one side and leaves the other. Another solve, with all of them one
+deviation to one side, is held out and says how far the sum is off. How c varies from place to place within a
+draw is not followed.
+
+Source: the two places are the outer nodes of three-point Gauss-Hermite quadrature, Abramowitz & Stegun 1964,
+table 25.10.
 """
 
 from __future__ import annotations
@@ -24,6 +29,7 @@ from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval
 ALIGNMENT = "alignment"
 _POSE = ("tilt_sagittal", "tilt_frontal", "shift_across", "shift_front_back")
 NAMES = ("c", "m", "friction", *_POSE)
+_REACHES = (3**0.5, 1.0)  # standard deviations to either side; the second where the first has no equilibrium
 _SEED = 7
 _LEAST = 1e-3  # deviations below this are none
 _LEAST_FRICTION = 0.01
@@ -80,31 +86,22 @@ def pressure_intervals(
     """
     centre, deviations = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
     varied = [k for k in range(len(NAMES)) if deviations[k] > _LEAST]
-    steps = [np.eye(len(NAMES))[k] * deviations for k in varied]
-    held_out = -np.where(deviations > _LEAST, deviations, 0.0)
-    found = []
-    for n, step in enumerate((*steps, held_out)):
-        progress.event("task", name="socket: solves for intervals", done=n, total=len(steps) + 1)
-        try:
-            pose: Pose = tuple(step[3:].tolist())
-            rows = solved(_changed(limb, *np.exp(step[:2])), max(friction + step[2], 0.0), pose)
-        except SolveError as error:
-            what = ", ".join(f"{name} {x:+.2g}" for name, x in zip(NAMES, step, strict=True) if x)
-            raise SolveError(
-                f"no intervals: the solve with changed {what}: {error.what}",
-                where=error.where, fix=error.fix,
-            ) from error  # fmt: skip
-        found.append(_values(rows))
     y = _values(base)
-    slopes = np.array([each - y for each in found[:-1]]).reshape(len(varied), len(y))
-    predicted = y - slopes.sum(axis=0)
+    solves = _Solves(
+        limb, friction, solved, progress, len(varied) + sum(NAMES[k] in _POSE for k in varied) + 1
+    )
+    ways = [_way(y, np.eye(len(NAMES))[k] * deviations, solves, bent=NAMES[k] in _POSE) for k in varied]
+    actual = solves.at(-np.where(deviations > _LEAST, deviations, 0.0))
+    predicted = y + sum((way(np.array([-1.0]))[0] for way in ways), np.zeros(len(y)))
     z = (drawn - centre)[:, varied] / deviations[varied]
-    parts = z[:, :, None] * slopes  # (n_draws, n_varied, n_values)
+    parts = np.empty((len(drawn), len(ways), len(y)))
+    for k, way in enumerate(ways):
+        parts[:, k] = way(z[:, k])
     total = parts.sum(axis=1)
     low, high = np.maximum(np.percentile(y + total, _ENDS, axis=0), 0.0)
     keys = [(row.load_n, row.patch, name) for row in base for name in QUANTITIES]
     means = [k for k, key in enumerate(keys) if key[2] == "mean_kpa"]
-    off = (predicted - found[-1])[means]
+    off = (predicted - actual)[means]
     shares = {
         keys[k][0]: _shares(parts[:, :, k], total[:, k], [NAMES[each] for each in varied])
         for k in means if keys[k][1] == WHOLE
@@ -114,8 +111,68 @@ def pressure_intervals(
         float(np.sqrt((off**2).mean()) / max(np.abs(y[means]).max(), 1e-12)),
         shares,
         {name: float(each) for name, each in zip(("ln_c", "ln_m", *NAMES[2:]), deviations, strict=True)},
-        len(found),
+        solves.done,
     )
+
+
+@dataclass(eq=False)
+class _Solves:
+    """The table with changed values; counts the solves. n : how many there will be"""
+
+    limb: LimbModel
+    friction: float
+    solved: Solved
+    progress: Progress
+    n: int
+    done: int = 0
+
+    def at(self, step: Array) -> Array:
+        """All quantities (n_values,) with ln c, ln m, friction and the place changed by `step` (7,)."""
+        self.progress.event("task", name="socket: solves for intervals", done=self.done, total=self.n)
+        self.done += 1
+        pose: Pose = tuple(step[3:].tolist())
+        try:
+            rows = self.solved(
+                _changed(self.limb, *np.exp(step[:2])), max(self.friction + step[2], 0.0), pose
+            )
+        except SolveError as error:
+            what = ", ".join(f"{name} {x:+.2g}" for name, x in zip(NAMES, step, strict=True) if x)
+            raise SolveError(
+                f"no intervals: the solve with changed {what}: {error.what}",
+                where=error.where, fix=error.fix,
+            ) from error  # fmt: skip
+        return _values(rows)
+
+
+@dataclass(frozen=True, eq=False)
+class _Way:
+    """How all quantities change along one parameter: slope z + bend z^2, z in standard deviations."""
+
+    slope: Array
+    bend: Array
+
+    def __call__(self, z: Array) -> Array:
+        """Changes (n, n_values) at z (n,)."""
+        return z[:, None] * self.slope + z[:, None] ** 2 * self.bend
+
+
+def _way(y: Array, step: Array, solves: _Solves, *, bent: bool) -> _Way:
+    """y : of the limb's own values; step : one standard deviation; bent : a parabola from both sides"""
+    if not bent:
+        return _Way(solves.at(step) - y, np.zeros_like(y))
+    (a, up), (b, down) = (_side(y, way * step, solves) for way in (1.0, -1.0))
+    bend = (up / a + down / b) / (a + b)
+    return _Way(up / a - a * bend, bend)
+
+
+def _side(y: Array, step: Array, solves: _Solves) -> tuple[float, Array]:
+    """How many standard deviations away a solve was possible, and the changes (n_values,) there."""
+    far, near = _REACHES
+    try:
+        return far, solves.at(far * step) - y
+    except SolveError:
+        solves.n += 1
+        return near, solves.at(near * step) - y
 
 
 def _values(rows: Sequence[PatchPressure]) -> Array:
