@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cached_property
 from itertools import islice
 
 import numpy as np
@@ -232,10 +233,17 @@ class System(RigidLoads, ElementLoops):
 
     def _touched_bodies(self, state: State) -> Iterator[tuple[int, IntArray, Array]]:
         """The bodies on the secondary side: number, their nodes there, and these nodes' lever arms."""
-        for b in sorted({pair.body for pair in self.pairs if pair.body is not None}):
-            facets = [pair.facets2[pair.facets2 >= 0] for pair in self.pairs if pair.body == b]
-            nodes = np.unique(np.concatenate(facets))
+        for b, nodes in self._secondary_nodes.items():
             yield b, nodes, self.X[nodes] + state.u[nodes] - self.center(b, state)
+
+    @cached_property
+    def _secondary_nodes(self) -> dict[int, IntArray]:
+        """Nodes of every body on the secondary side of a contact, by the body's number."""
+        facets: dict[int, list[IntArray]] = {}
+        for pair in self.pairs:
+            if pair.body is not None:
+                facets.setdefault(pair.body, []).append(pair.facets2[pair.facets2 >= 0])
+        return {b: np.unique(np.concatenate(each)) for b, each in sorted(facets.items())}
 
     def contact_residual(self, contact: ContactState) -> Array:
         """The contact part of the residual."""
@@ -334,12 +342,12 @@ class System(RigidLoads, ElementLoops):
             v[nodes] = motions[b, :3] + np.cross(motions[b, 3:], arm)
         for pair, found in zip(self.pairs, contact.points, strict=True):
             pair.times(found, self.X + state.u, v, nodal, full=full)
-        turns = full and any(motions[b, 3:].any() for b, _, _ in touched)
-        forces = np.zeros_like(nodal)
-        for pair, found in zip(self.pairs if turns else (), contact.points, strict=False):
-            pair.force(found, forces)
-        for b, nodes, arm in touched:
-            bodies[b, 3:] += np.cross(np.cross(motions[b, 3:], arm), forces[nodes]).sum(axis=0)
+        if full and any(motions[b, 3:].any() for b, _, _ in touched):
+            forces = np.zeros_like(nodal)
+            for pair, found in zip(self.pairs, contact.points, strict=True):
+                pair.force(found, forces)
+            for b, nodes, arm in touched:
+                bodies[b, 3:] += np.cross(np.cross(motions[b, 3:], arm), forces[nodes]).sum(axis=0)
         self.gather_touched(state, nodal, bodies)
         return nodal, bodies
 
