@@ -47,9 +47,8 @@ _ANY_ITERATIONS = _MOST_REFORMATIONS * (_MOST_AUGMENTATIONS + 1)
 _SAME_TIME = 1e-9
 _CELL_FIELDS = ("E1", "sed")
 _SKIN = "skin"
-LEAST_MPA = (
-    1e-4  # pressure under a liner that slides from which skin counts as loaded: ten times its tightness
-)
+# Pressure under a liner that slides from which skin counts as loaded: ten times that of its tightness.
+LEAST_MPA = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True)
