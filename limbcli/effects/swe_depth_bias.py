@@ -28,6 +28,8 @@ READS_RIGHT = Parameter.of_shape("swe_reads_right_at_mm", 13.5, 0.0, 27.0, "with
 
 
 def observe(reading: Reading, theta: Theta) -> Reading:
+    if not theta[SLOPE.name]:  # without a bias it reads right everywhere
+        return reading
     right = theta.get(READS_RIGHT.name, READS_RIGHT.start)
     return replace(reading, speed_slope=reading.speed_slope + theta[SLOPE.name], reads_right_at=right)
 
