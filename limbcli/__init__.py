@@ -49,13 +49,13 @@ if TYPE_CHECKING:
     from limbcli.api.making import make_phantom as make_phantom
     from limbcli.api.making import synth as synth
     from limbcli.api.notebook import ShownProgress as ShownProgress
-    from limbcli.api.result import Result as Result
-    from limbcli.api.result import SiteResults as SiteResults
     from limbcli.api.simulation import BuildFebResult as BuildFebResult
     from limbcli.api.simulation import RunResult as RunResult
     from limbcli.api.simulation import build_feb as build_feb
     from limbcli.api.simulation import run as run
     from limbcli.api.simulation import run_feb as run_feb
+    from limbcli.api.stage_result import Result as Result
+    from limbcli.api.stage_result import SiteResults as SiteResults
     from limbcli.api.subjects import CheckResult as CheckResult
     from limbcli.api.subjects import MeasureResult as MeasureResult
     from limbcli.api.subjects import check as check
@@ -84,7 +84,7 @@ if TYPE_CHECKING:
 
 # Module of each public name; a test compares this list, and the signatures, with the documented interface.
 _PUBLIC = {
-    "api.result": ("Result", "SiteResults"),
+    "api.stage_result": ("Result", "SiteResults"),
     "api.cohorts": ("BatchResult", "CaseResult", "CohortResult", "FailedStage", "batch", "cohort"),
     "api.diagnosis": ("DiagnosisResult", "ReportResult", "diagnose", "report"),
     "api.fit_results": ("ElementComparison", "Estimate", "FitResult", "JointFitResult", "StatesFitResult"),

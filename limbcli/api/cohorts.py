@@ -17,7 +17,7 @@ from limbcli.api.call import (
     maybe_path,
     public,
 )
-from limbcli.api.result import Result, one, whole_paths
+from limbcli.api.stage_result import Result, one, whole_paths
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError

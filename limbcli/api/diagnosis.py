@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
-from limbcli.api.result import Result, each_site, one
+from limbcli.api.stage_result import Result, each_site, one
 from limbcli.options import (
     CASE,
     FEBIO,

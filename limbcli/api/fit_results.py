@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import TYPE_CHECKING, Any, ClassVar
 
-from limbcli.api.result import Result
+from limbcli.api.stage_result import Result
 from limbcli.api.tables import Table, read_columns
 from limbcli.results import StageResult
 

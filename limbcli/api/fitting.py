@@ -7,7 +7,7 @@ from typing import Annotated, get_args
 
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
 from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult, StatesFitResult
-from limbcli.api.result import each_site, one
+from limbcli.api.stage_result import each_site, one
 from limbcli.options import (
     C_KPA,
     CASE,

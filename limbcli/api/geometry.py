@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, public
 from limbcli.api.limits import within
-from limbcli.api.result import Result, SiteResults, one
+from limbcli.api.stage_result import Result, SiteResults, one
 from limbcli.errors import CaseError
 from limbcli.numbers.mesh_bounds import FAR_SIZE_MM, SIZE_MM
 from limbcli.options import CASE, ELEMENT, MARGIN, OUT, PROGRESS, SITES, WAIT, Option

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
-from limbcli.api.result import Result, one
+from limbcli.api.stage_result import Result, one
 from limbcli.numbers.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
 from limbcli.options import CASE, OUT, PROGRESS, TEMPLATES, WAIT, Option
 from limbcli.results import StageResult

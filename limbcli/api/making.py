@@ -17,7 +17,7 @@ from limbcli.api.call import (
     listening,
     names_of,
 )
-from limbcli.api.result import Result, one
+from limbcli.api.stage_result import Result, one
 from limbcli.numbers.mesh_bounds import FAR_SIZE_MM, SIZE_MM
 from limbcli.options import CASE, MARGIN, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult

@@ -18,7 +18,7 @@ from limbcli.api.call import (
     maybe_path,
     names_of,
 )
-from limbcli.api.result import Result, each_site, one
+from limbcli.api.stage_result import Result, each_site, one
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
 from limbcli.config import default_out
 from limbcli.errors import CaseError

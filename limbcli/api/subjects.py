@@ -18,7 +18,7 @@ from limbcli.api.call import (
     names_of,
     public,
 )
-from limbcli.api.result import Result, each_site, whole_paths
+from limbcli.api.stage_result import Result, each_site, whole_paths
 from limbcli.api.tables import Tabular, plain_rows, read_columns
 from limbcli.errors.problems import Problem
 from limbcli.options import CASE, OUT, PROGRESS, SITES, WAIT, Option

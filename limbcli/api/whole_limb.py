@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal
 
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
 from limbcli.api.geometry import thickness
-from limbcli.api.result import Result, one
+from limbcli.api.stage_result import Result, one
 from limbcli.numbers.mesh_bounds import LIMB_CUT_MM, LIMB_NODES, LIMB_SITE_SIZE_MM
 from limbcli.options import C_KPA, CASE, ELEMENT, OUT, PROGRESS, TEMPLATES, WAIT, Option
 from limbcli.results import StageResult

@@ -49,7 +49,7 @@ def test_a_command_imports_only_what_it_needs(tmp_path):
         "import sys; from limbcli.cli.entry import main\n"
         "sys.argv = ['limbcli', 'new', sys.argv[1], '--quiet']\n"
         "try:\n    main()\nexcept SystemExit as stop:\n    assert not stop.code\n"
-        "heavy = ('numpy', 'scipy', 'portalocker', 'limbcli.api.result', 'limbcli.api.cohorts')\n"
+        "heavy = ('numpy', 'scipy', 'portalocker', 'limbcli.api.stage_result', 'limbcli.api.cohorts')\n"
         "print([each for each in heavy if each in sys.modules], file=sys.stderr)"
     )
     done = subprocess.run(
