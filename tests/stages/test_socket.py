@@ -310,6 +310,15 @@ def test_a_pressure_that_rises_on_either_side_has_its_interval(tmp_path: Path):
     assert found.error_fraction < 1e-9
 
 
+def test_few_draws_of_the_limb_do_not_narrow_where_the_socket_may_sit(tmp_path: Path):
+    lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(50))]
+    (tmp_path / "draws.csv").write_text("\n".join(lines))
+    drawn = drawn_values(tmp_path / "draws.csv", 0.3, 0.1, tilt_deg=1.0, shift_mm=2.0)
+    assert drawn[:, 2:].std(axis=0) == pytest.approx([0.1, 1.0, 1.0, 2.0, 2.0], rel=0.05)
+    ends = np.percentile(drawn[:, 3:] / [1.0, 1.0, 2.0, 2.0], [2.5, 97.5], axis=0)
+    assert ends == pytest.approx(np.outer([-1.96, 1.96], np.ones(4)), abs=0.2)
+
+
 def _one_element(c: float):
     from limbcli.materials.ogden import ogden_type
     from limbcli.model import Block, Domain, LimbModel, Mesh

@@ -31,6 +31,7 @@ _POSE = ("tilt_sagittal", "tilt_frontal", "shift_across", "shift_front_back")
 NAMES = ("c", "m", "friction", *_POSE)
 _REACHES = (3**0.5, 1.0)  # standard deviations to either side; the second where the first has no equilibrium
 _SEED = 7
+_REPEATS = 40  # frictions and places drawn with every draw of the limb: 50 alone are off by a fifth
 _LEAST = 1e-3  # deviations below this are none
 _LEAST_FRICTION = 0.01
 _ENDS = (2.5, 97.5)  # percentiles of a 95 % interval
@@ -57,17 +58,17 @@ class PressureIntervals:
 def drawn_values(
     path: Path, friction: float, deviation: float, *, tilt_deg: float = 0.0, shift_mm: float = 0.0
 ) -> Array:
-    """ln c, ln m, friction and `Pose` of every draw (n_draws, 7).
+    """ln c, ln m, friction and `Pose` (n, 7): of every draw of the limb with several of the others.
 
     path : draws.csv of the stage `limb`; deviation, tilt_deg, shift_mm : standard deviations
     """
     with path.open(newline="", encoding="utf-8") as stream:
         rows = list(csv.DictReader(stream))
     logs = np.log([[float(row["c_mean_kpa"]), float(row["m_mean"])] for row in rows])
-    rng = np.random.default_rng(_SEED)
-    drawn = friction + deviation * rng.standard_normal(len(rows))
-    frictions = np.maximum(drawn, _LEAST_FRICTION) if friction else np.zeros(len(rows))
-    poses = rng.standard_normal((len(rows), len(_POSE))) * [tilt_deg, tilt_deg, shift_mm, shift_mm]
+    logs, rng = np.repeat(logs, _REPEATS, axis=0), np.random.default_rng(_SEED)
+    drawn = friction + deviation * rng.standard_normal(len(logs))
+    frictions = np.maximum(drawn, _LEAST_FRICTION) if friction else np.zeros(len(logs))
+    poses = rng.standard_normal((len(logs), len(_POSE))) * [tilt_deg, tilt_deg, shift_mm, shift_mm]
     return np.column_stack([logs, frictions, poses])
 
 
