@@ -199,6 +199,12 @@ def _intervals(
         f"mean pressure under {load:g} N: {low:.1f} to {high:.1f} kPa (95 %) over the limb's draws; of its "
         f"variance: {words}; a held-out solve is off by {100 * found.error_fraction:.1f} %"
     )
+    if found.one_sided:
+        places = ", ".join(each.replace("_", " ") for each in found.one_sided)
+        writer.warnings.append(
+            f"the intervals take the pressures as linear in the socket's {places}, from one side: the other has "
+            "no equilibrium; more load steps may find it (--load-steps)"
+        )
     if found.error_fraction > _MOST_OFF:
         writer.warnings.append("the intervals are rough: the pressures are not linear over the draws")
     return found.intervals

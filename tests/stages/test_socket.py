@@ -310,6 +310,28 @@ def test_a_pressure_that_rises_on_either_side_has_its_interval(tmp_path: Path):
     assert found.error_fraction < 1e-9
 
 
+def test_where_one_side_has_no_equilibrium_the_other_gives_a_line_and_neither_no_interval(tmp_path: Path):
+    lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(50))]
+    (tmp_path / "draws.csv").write_text("\n".join(lines))
+    drawn = drawn_values(tmp_path / "draws.csv", 0.0, 0.0, shift_mm=2.0)
+    impossible = [lambda x: x > 0.5, lambda x: abs(x) > 0.5]
+
+    def solved_where(fails):
+        def solved(_model, _friction, pose):
+            if fails(pose[2]):
+                raise SolveError("no equilibrium", where="test", fix="none")
+            return [row(1.0, 0.3, pose[2])]
+
+        return pressure_intervals(_one_element(c=0.008), 0.0, [row(1.0, 0.3)], drawn, solved, SILENT)
+
+    found = solved_where(impossible[0])
+    low, high = found.intervals[400.0, WHOLE, "mean_kpa"]
+    assert (low, high) == pytest.approx((40.0 - 1.96 * 4.0, 40.0 + 1.96 * 4.0), rel=0.03)
+    assert found.one_sided == ("shift_across",)
+    with pytest.raises(SolveError, match="no intervals"):
+        solved_where(impossible[1])
+
+
 def test_few_draws_of_the_limb_do_not_narrow_where_the_socket_may_sit(tmp_path: Path):
     lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(50))]
     (tmp_path / "draws.csv").write_text("\n".join(lines))

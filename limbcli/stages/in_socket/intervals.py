@@ -45,7 +45,8 @@ Solved = Callable[[LimbModel, float, Pose], list[PatchPressure]]
 class PressureIntervals:
     """intervals : 95 %, by (load, patch, quantity); `error_fraction` : of the held-out solve, rms of all mean
     pressures relative to their largest; `shares` : by load, what part of the variance of the mean pressure on
-    the skin c, m, friction and alignment make; `n_solves` : besides the first
+    the skin c, m, friction and alignment make; `n_solves` : besides the first; `one_sided` : places that are
+    taken as lines, since their other side had no equilibrium
     """
 
     intervals: dict[tuple[float, str, str], Interval]
@@ -53,6 +54,7 @@ class PressureIntervals:
     shares: dict[float, dict[str, float]]
     deviations: dict[str, float]
     n_solves: int
+    one_sided: tuple[str, ...] = ()
 
 
 def drawn_values(
@@ -83,7 +85,7 @@ def pressure_intervals(
     Raises
     ------
     SolveError
-        If one of the solves has no equilibrium.
+        If a solve has no equilibrium, with a changed place neither on one side nor on the other.
     """
     centre, deviations = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
     varied = [k for k in range(len(NAMES)) if deviations[k] > _LEAST]
@@ -113,6 +115,7 @@ def pressure_intervals(
         shares,
         {name: float(each) for name, each in zip(("ln_c", "ln_m", *NAMES[2:]), deviations, strict=True)},
         solves.done,
+        tuple(NAMES[k] for k, way in zip(varied, ways, strict=True) if way.one_sided),
     )
 
 
@@ -147,10 +150,14 @@ class _Solves:
 
 @dataclass(frozen=True, eq=False)
 class _Way:
-    """How all quantities change along one parameter: slope z + bend z^2, z in standard deviations."""
+    """How all quantities change along one parameter: slope z + bend z^2, z in standard deviations.
+
+    one_sided : a line, since the other side had no equilibrium
+    """
 
     slope: Array
     bend: Array
+    one_sided: bool = False
 
     def __call__(self, z: Array) -> Array:
         """Changes (n, n_values) at z (n,)."""
@@ -161,7 +168,17 @@ def _way(y: Array, step: Array, solves: _Solves, *, bent: bool) -> _Way:
     """y : of the limb's own values; step : one standard deviation; bent : a parabola from both sides"""
     if not bent:
         return _Way(solves.at(step) - y, np.zeros_like(y))
-    (a, up), (b, down) = (_side(y, way * step, solves) for way in (1.0, -1.0))
+    found: dict[float, tuple[float, Array]] = {}
+    for way in (1.0, -1.0):
+        try:
+            found[way] = _side(y, way * step, solves)
+        except SolveError:
+            if way < 0 and not found:
+                raise
+    if len(found) == 1:
+        ((way, (a, change)),) = found.items()
+        return _Way(way * change / a, np.zeros_like(y), one_sided=True)
+    (a, up), (b, down) = found.values()
     bend = (up / a + down / b) / (a + b)
     return _Way(up / a - a * bend, bend)
 
