@@ -202,8 +202,8 @@ def _intervals(
     if found.one_sided:
         places = ", ".join(each.replace("_", " ") for each in found.one_sided)
         writer.warnings.append(
-            f"the intervals take the pressures as linear in the socket's {places}, from one side: the other has "
-            "no equilibrium; more load steps may find it (--load-steps)"
+            f"the intervals take the pressures as linear in the socket's {places}, from one side: the other "
+            "has no equilibrium; more load steps may find it (--load-steps)"
         )
     if found.error_fraction > _MOST_OFF:
         writer.warnings.append("the intervals are rough: the pressures are not linear over the draws")
