@@ -22,7 +22,7 @@ from limbcli.fem.contacts.friction_kernels import PUSH, STICKS
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.linear_solvers.direct import make
-from limbcli.fem.linear_solvers.growing import Growing
+from limbcli.fem.linear_solvers.growing_pattern import GrowingPatternSolver
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Block, Curve, Domain, LimbModel, LogRecord, Material, Mesh, Step, Support, Surface
@@ -242,7 +242,7 @@ def test_a_secondary_surface_that_is_given_its_motion_is_a_rigid_one(mu: float) 
 def test_a_factor_grows_only_by_entries_that_have_no_place(rng: np.random.Generator) -> None:
     n = 8
     base = sparse.csr_array(np.triu(np.diag(np.arange(4.0, 4 + n)) + np.diag(np.ones(n - 1), 1)))
-    solver = Growing(base.indptr, base.indices, partial(make, kind="superlu"))
+    solver = GrowingPatternSolver(base.indptr, base.indices, partial(make, kind="superlu"))
     full = base + sparse.triu(base, 1).T
     for (i, j), analyses in (((1, 5), 2), ((1, 5), 2), ((0, 1), 2), ((2, 7), 3), ((1, 5), 3)):
         more = sparse.csr_array(([0.5, 0.5], ([i, j], [j, i])), shape=(n, n))

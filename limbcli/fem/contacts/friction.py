@@ -106,8 +106,8 @@ class FrictionPair(Pair):
     def both_blocks(
         self, k: int, points: Array, x: Array, *, full: bool, couples: bool = True
     ) -> tuple[IntArray, Array]:
-        """Nodes (n_meetings, n; -1: none) and tangent (n_meetings, n, 3, n, 3) of every two facets that meet,
-        those of the primary one first."""
+        """Of every two facets that meet: nodes (n_facet_pairs, n; -1: none), those of the primary one first,
+        and tangent (n_facet_pairs, n, 3, n, 3)."""
         facets = self.patches[k].facets
         touching = points[..., TRACTION] != 0
         meeting = np.stack([np.nonzero(touching)[0], points[touching][:, FACET].astype(np.int64)])

@@ -151,22 +151,8 @@ def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
                         row[POINT + i] = anchor[i]
                     sticking += 1
                     continue
-            _slip(
-                row,
-                before[f, k],
-                x,
-                past,
-                facets2[int(row[FACET])],
-                pull[f, k],
-                eps[f],
-                r,
-                g1,
-                g2,
-                n,
-                y,
-                c,
-                m,
-            )
+            nodes2 = facets2[int(row[FACET])]
+            _slip(row, before[f, k], x, past, nodes2, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
             length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
             drag = min(mu * row[TRACTION] / length, eps[f]) if length > 0.0 else 0.0
             for i in range(3):
@@ -315,10 +301,10 @@ def blocks(x, facets, N, dN, weights, eps, state, yields, facets2, out, mu, befo
 def both_blocks(
     x, facets, N, dN, weights, eps, state, yields, facets2, which, out, mu, before, past, pull, couples
 ):
-    """Tangent of the nodes on both sides, out (n_meetings, n, 3, n, 3): those of the primary facet, then of
-    the secondary one.
+    """Tangent of the nodes on both sides, out (n_facet_pairs, n, 3, n, 3): those of the primary facet, then
+    those of the secondary one.
 
-    which (n_facets, n_gauss) : the meeting of two facets to which a touching point belongs
+    which (n_facets, n_gauss) : the pair of facets to which a touching point belongs
     """
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):

@@ -19,7 +19,7 @@ from limbcli.fem.equilibrium.free_motion import check_held
 from limbcli.fem.equilibrium.settings import Counts, Settings
 from limbcli.fem.equilibrium.tangent import Inverse, Tangent, assemble
 from limbcli.fem.linear_solvers import direct as linear_solvers
-from limbcli.fem.linear_solvers.growing import Growing
+from limbcli.fem.linear_solvers.growing_pattern import GrowingPatternSolver
 from limbcli.fem.linear_solvers.krylov import gmres
 from limbcli.fem.linear_solvers.singular import singular
 from limbcli.fem.motion.state import Forces, State, norm
@@ -245,5 +245,5 @@ def _solver(system: System, settings: Settings) -> Any:
         last=system.within_reach(),
     )
     if system.has_couplings:
-        return Growing(pattern.indptr, pattern.indices, make)
+        return GrowingPatternSolver(pattern.indptr, pattern.indices, make)
     return make(pattern.indptr, pattern.indices)

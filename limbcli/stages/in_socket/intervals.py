@@ -93,13 +93,15 @@ def pressure_intervals(
     solves = _Solves(
         limb, friction, solved, progress, len(varied) + sum(NAMES[k] in _POSE for k in varied) + 1
     )
-    ways = [_way(y, np.eye(len(NAMES))[k] * deviations, solves, bent=NAMES[k] in _POSE) for k in varied]
+    responses = [
+        _response(y, np.eye(len(NAMES))[k] * deviations, solves, bent=NAMES[k] in _POSE) for k in varied
+    ]
     actual = solves.at(-np.where(deviations > _LEAST, deviations, 0.0))
-    predicted = y + sum((way(np.array([-1.0]))[0] for way in ways), np.zeros(len(y)))
+    predicted = y + sum((each(np.array([-1.0]))[0] for each in responses), np.zeros(len(y)))
     z = (drawn - centre)[:, varied] / deviations[varied]
-    parts = np.empty((len(drawn), len(ways), len(y)))
-    for k, way in enumerate(ways):
-        parts[:, k] = way(z[:, k])
+    parts = np.empty((len(drawn), len(responses), len(y)))
+    for k, response in enumerate(responses):
+        parts[:, k] = response(z[:, k])
     total = parts.sum(axis=1)
     low, high = np.maximum(np.percentile(y + total, _ENDS, axis=0), 0.0)
     keys = [(row.load_n, row.patch, name) for row in base for name in QUANTITIES]
@@ -115,7 +117,7 @@ def pressure_intervals(
         shares,
         {name: float(each) for name, each in zip(("ln_c", "ln_m", *NAMES[2:]), deviations, strict=True)},
         solves.done,
-        tuple(NAMES[k] for k, way in zip(varied, ways, strict=True) if way.one_sided),
+        tuple(NAMES[k] for k, each in zip(varied, responses, strict=True) if each.one_sided),
     )
 
 
@@ -149,7 +151,7 @@ class _Solves:
 
 
 @dataclass(frozen=True, eq=False)
-class _Way:
+class _Response:
     """How all quantities change along one parameter: slope z + bend z^2, z in standard deviations.
 
     one_sided : a line, since the other side had no equilibrium
@@ -164,23 +166,23 @@ class _Way:
         return z[:, None] * self.slope + z[:, None] ** 2 * self.bend
 
 
-def _way(y: Array, step: Array, solves: _Solves, *, bent: bool) -> _Way:
+def _response(y: Array, step: Array, solves: _Solves, *, bent: bool) -> _Response:
     """y : of the limb's own values; step : one standard deviation; bent : a parabola from both sides"""
     if not bent:
-        return _Way(solves.at(step) - y, np.zeros_like(y))
+        return _Response(solves.at(step) - y, np.zeros_like(y))
     found: dict[float, tuple[float, Array]] = {}
-    for way in (1.0, -1.0):
+    for sign in (1.0, -1.0):
         try:
-            found[way] = _side(y, way * step, solves)
+            found[sign] = _side(y, sign * step, solves)
         except SolveError:
-            if way < 0 and not found:
+            if sign < 0 and not found:
                 raise
     if len(found) == 1:
-        ((way, (a, change)),) = found.items()
-        return _Way(way * change / a, np.zeros_like(y), one_sided=True)
+        ((sign, (a, change)),) = found.items()
+        return _Response(sign * change / a, np.zeros_like(y), one_sided=True)
     (a, up), (b, down) = found.values()
     bend = (up / a + down / b) / (a + b)
-    return _Way(up / a - a * bend, bend)
+    return _Response(up / a - a * bend, bend)
 
 
 def _side(y: Array, step: Array, solves: _Solves) -> tuple[float, Array]:

@@ -18,7 +18,7 @@ from limbcli.model import Array, IntArray
 Make = Callable[[IntArray, IntArray], LinearSolver]
 
 
-class Growing:
+class GrowingPatternSolver:
     """The solver that `make(indptr, indices)` gives, for the pattern so far; its attributes are passed on.
 
     n_analyses : how often it was made
