@@ -26,6 +26,7 @@ _NEAR = 0.05  # distance in ln theta within which a point counts as solved
 # Largest accepted distance in ln theta of an interval's end from a solved point, and as a share of the
 # interval: an end that is decades away from the fit is not needed to 30 %.
 _END_NEAR, _END_NEAR_SHARE = 0.3, 0.1
+_CERTAIN = 0.02  # error of the surrogate, in standard deviations of the data, up to which no point is too far
 _SETTLES = 4  # largest number of refits with updated weights
 
 
@@ -128,7 +129,8 @@ class _Work:
         for theta, name, side in candidates:
             end_near = max(_END_NEAR, _END_NEAR_SHARE * widths.get(name, 0.0))
             limit = _NEAR if not name else end_near if side else np.inf
-            if self.problem.distance(theta) > limit and self._is_new(theta):
+            far = self.problem.distance(theta) > limit and self.problem.uncertainty(theta) > _CERTAIN
+            if far and self._is_new(theta):
                 return theta, name, side
         return None
 

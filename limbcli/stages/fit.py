@@ -150,16 +150,14 @@ def _fit_site(
         share = _share_of_c(forward.share_of_c, theta, writer) if held_layers(model) else None
         known = [replace(stiffness, gain_deviation=each, share=share) for each in gains]
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
-        uncertainty = site_geometry_uncertainty(
-            case, site, out, fitted, curve(theta).values, writer, progress=progress
-        )
-        again = partial(forces_again, levels=levels_there, kept=kept, progress=progress)
+        forces = curve(theta).values
+        uncertainty = site_geometry_uncertainty(case, site, out, fitted, forces, writer, progress=progress)
+        again = partial(forces_again, levels=levels_there, forces=forces, kept=kept, progress=progress)
         changed: list[ChangedForces] = []
         if options.boundary_check:
             changed = changed_forces(
-                fitted, curve(theta).values, lambda each: again(each.of(fitted), "boundary check"),
-                progress=progress,
-            )  # fmt: skip
+                fitted, forces, lambda each: again(each.of(fitted), "boundary check"), progress=progress
+            )
         modes = boundary_modes(changed, len(knots))
         if uncertainty is not None:
             modes = np.vstack([uncertainty.modes, modes])

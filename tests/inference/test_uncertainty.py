@@ -169,6 +169,20 @@ def test_data_that_scatter_as_stated_have_the_interval_of_a_known_noise(rng):
     assert (found.scale, found.threshold) == (1.0, pytest.approx(THRESHOLD_95, rel=0.02))
 
 
+@pytest.mark.parametrize(("error", "solved"), [(0.01, 0), (0.05, 2)])
+def test_where_the_surrogate_is_sure_nothing_is_simulated_again(error, solved, rng):
+    """The best fit and the ends are simulated where they are far from every simulation, unless it is sure."""
+    line = Straight(np.zeros(6), 5.0, profiled=(0,))
+    line.y = line.design @ (50.0, 30.0) + rng.standard_normal(6)
+    line.within_reach, line.uncertainty = lambda theta: theta, lambda theta: error
+    simulated = []
+    line.distance = lambda theta: min(
+        [3.0, *(float(np.abs(np.log(theta / each)).max()) for each in simulated)]
+    )
+    line.solve = simulated.append
+    assert adaptive_profiles(line, max_solves=8).n_solves == solved
+
+
 @pytest.mark.parametrize("n_freedom", [1, 2, 4, 8, 30])
 @pytest.mark.parametrize("larger", [1.0, 1.5, 2.0, 4.0, 9.0, 25.0])
 def test_intervals_hold_the_truth_at_their_rate_whatever_the_noise_is(n_freedom, larger):

@@ -98,6 +98,26 @@ def test_levels_solved_before_lead_to_the_same_forces():
     assert not seen, "the levels are used: without a change they are in equilibrium"
 
 
+def test_of_many_levels_some_are_solved_and_the_others_interpolated():
+    """Of a coarse block, on which the contact grows by leaps."""
+    depths = [0.5, 1.0, 1.5, 2.0, 2.5, 3.0]
+    model = indentation_model(cut_from_a_limb(), schedule(depths), c=0.008, f_kappa=100.0, m=3.0)
+    free, seen = CUT_FREE.of(model), set()
+
+    def listen(kind, facts):
+        if kind == "newton":
+            seen.add(facts["n_steps"])
+
+    found = forces_again(
+        free, "boundary check", forces=solved(model), threads=1, progress=Progress(listen)
+    )  # fmt: skip
+    assert seen == {3}
+    exact = solved(free)
+    rows = [0, 2, 5]
+    assert found[rows] == pytest.approx(exact[rows], rel=1e-3)
+    assert found == pytest.approx(exact, rel=0.06)
+
+
 def test_what_cannot_be_solved_is_said_and_the_other_boundary_is_still_tried():
     model, written = cut_block(), writer()
 
