@@ -75,7 +75,7 @@ def changed_forces(
 ) -> list[ChangedForces]:  # fmt: skip
     """The forces with each of `BOUNDARIES`.
 
-    model, forces (n_levels,) N : the fitted model
+    model, forces (n_levels,) N : the fitted model, and its forces at the levels to compare at
     again : the forces (n_reached,) N of the same model with another boundary; raises SolveError
     """
     found = []
@@ -92,16 +92,17 @@ def changed_forces(
     return found
 
 
-def boundary_modes(changed: Sequence[ChangedForces], n_levels: int) -> Array:
-    """Changes of ln force (n_modes, n_levels), one standard deviation each: half of what a boundary changes.
+def boundary_modes(changed: Sequence[ChangedForces], depths: Array, knots: Array) -> Array:
+    """Changes of ln force (n_modes, n_knots), one standard deviation each: half of what a boundary changes.
+
+    depths (n_levels,) mm : levels of the comparison; knots (n_knots,) mm : those of the fit
 
     The other extreme then lies two standard deviations from the model. Beyond the last level that was reached
     the change is that of this level.
     """
-    modes = [_SHARE * np.log(np.maximum(each.ratio, 1e-9)) for each in changed if each.ratio is not None]
-    return np.array([np.pad(each, (0, n_levels - len(each)), mode="edge") for each in modes]).reshape(
-        len(modes), n_levels
-    )
+    changes = [np.log(np.maximum(each.ratio, 1e-9)) for each in changed if each.ratio is not None]
+    modes = [_SHARE * np.interp(knots, depths[: len(each)], each) for each in changes]
+    return np.array(modes).reshape(len(modes), len(knots))
 
 
 def allowing_for(
@@ -116,7 +117,7 @@ def allowing_for(
     over the levels. Simulations of the first fit are not repeated.
     """
     shares = [
-        total_share(list(boundary_modes(each, len(data.knots))))
+        total_share(list(boundary_modes(each, data.knots, data.knots)))
         for each, data in zip(changed, problem.task.data, strict=True)
     ]
     if not any(shares):
@@ -135,7 +136,7 @@ def write_boundary_check(
 ) -> None:  # fmt: skip
     """Write `boundary_check` of a fit and a line of the summary for every boundary.
 
-    depths (n_levels,) mm : levels of the fitted model
+    depths (n_levels,) mm : levels of the comparison
     parameters : ratio of forces (n_reached,) -> the parameters with which that model fits the same data
     site : name of the site, in a fit of several sites, each of which has its own check
     """
@@ -212,9 +213,10 @@ def write_contact_check(
 
 
 def moved_parameters(
-    curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array, free: Mapping[int, str], ratio: Array
-) -> dict[str, float]:
-    """The parameters with which a model whose forces at `knots` are `ratio` (n_reached,) times the curve's
+    curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array, free: Mapping[int, str],
+    depths: Array, ratio: Array,
+) -> dict[str, float]:  # fmt: skip
+    """The parameters with which a model whose forces at `depths` are `ratio` (n_reached,) times the curve's
     fits the same data: one Gauss-Newton step in their logarithms; none if one of them moves by more than a
     factor of `_FAR`, as a linear estimate says nothing there.
 
@@ -223,10 +225,10 @@ def moved_parameters(
     if not free:
         return {}
     columns = list(free)
-    reached = data.depth <= knots[len(ratio) - 1]
+    reached = data.depth <= depths[len(ratio) - 1]
     at = sampled(curve, knots, data.depth[reached], free=columns, fixed=theta)(theta[columns])
     assert at.jacobian is not None
-    times = np.interp(data.depth[reached], knots[: len(ratio)], ratio)
+    times = np.interp(data.depth[reached], depths[: len(ratio)], ratio)
     slopes = times[:, None] * at.jacobian * theta[columns]
     step = np.linalg.lstsq(slopes, at.values * (1.0 - times), rcond=None)[0]
     if np.abs(step).max() > np.log(_FAR):

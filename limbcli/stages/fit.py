@@ -39,7 +39,7 @@ from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
 from limbcli.fitting.result import Identified, write_agreement, write_result, write_widening
-from limbcli.fitting.solve_again import forces_again
+from limbcli.fitting.solve_again import checked_levels, forces_again
 from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.fitting.table import NAMES
 from limbcli.inference.adaptive import Intervals
@@ -49,7 +49,7 @@ from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
 from limbcli.measurement.indentation import Levels, level_warnings
 from limbcli.measurement.speed_noise import mean_speed_deviation
-from limbcli.model import Array, ElementMap, LimbModel
+from limbcli.model import Array, ElementMap, IntArray, LimbModel
 from limbcli.numbers.interval_limits import Flag
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import note_templates, noted
@@ -152,13 +152,15 @@ def _fit_site(
         fitted = with_tissue(model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
         forces = curve(theta).values
         uncertainty = site_geometry_uncertainty(case, site, out, fitted, forces, writer, progress=progress)
-        again = partial(forces_again, levels=levels_there, forces=forces, kept=kept, progress=progress)
+        checked = checked_levels(fitted)
+        again = partial(forces_again, levels=levels_there, rows=checked, kept=kept, progress=progress)
         changed: list[ChangedForces] = []
         if options.boundary_check:
             changed = changed_forces(
-                fitted, forces, lambda each: again(each.of(fitted), "boundary check"), progress=progress
-            )
-        modes = boundary_modes(changed, len(knots))
+                fitted, forces[checked], lambda each: again(each.of(fitted), "boundary check"),
+                progress=progress,
+            )  # fmt: skip
+        modes = boundary_modes(changed, knots[checked], knots)
         if uncertainty is not None:
             modes = np.vstack([uncertainty.modes, modes])
         intervals, of_noise, why_none = None, None, "no interval was requested"
@@ -191,7 +193,7 @@ def _fit_site(
             writer.warnings.insert(0, one_state(site))
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
-        _write_checks(identified, fitted, again, changed, writer, options, progress)
+        _write_checks(identified, fitted, checked, again, changed, writer, options, progress)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
@@ -201,23 +203,23 @@ def _fit_site(
 
 
 def _write_checks(
-    found: Identified, fitted: LimbModel, again: Callable[[LimbModel, str], Array],
+    found: Identified, fitted: LimbModel, checked: IntArray, again: Callable[[LimbModel, str], Array],
     changed: Sequence[ChangedForces], writer: StageWriter, options: FitOptions, progress: Progress,
 ) -> None:  # fmt: skip
     """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask.
 
-    again : (a changed model, the check) -> its forces
+    again : (a changed model, the check) -> its forces at the levels `checked`
     """
-    theta = found.steps[-1].theta
+    theta, depths = found.steps[-1].theta, found.knots[checked]
     if options.contact_check:
         write_contact_check(
-            fitted.contacts[0].penalty, found.curve(theta).values, found.knots,
+            fitted.contacts[0].penalty, found.curve(theta).values[checked], depths,
             lambda penalty: again(with_penalty(fitted, penalty), "contact check"), writer, progress=progress,
         )  # fmt: skip
     if options.boundary_check:
         free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == Flag.IDENTIFIED}
-        parameters = partial(moved_parameters, found.curve, found.knots, found.data, theta, free)
-        write_boundary_check(changed, found.knots, writer, parameters=parameters)
+        parameters = partial(moved_parameters, found.curve, found.knots, found.data, theta, free, depths)
+        write_boundary_check(changed, depths, writer, parameters=parameters)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)

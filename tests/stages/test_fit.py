@@ -296,9 +296,9 @@ def test_what_a_harder_contact_changes_is_told(fitted, forces):
     check = fitted[0].data["contact_check"]
     assert (check["penalty"], check["tried"]) == (20.0, 80.0)
     change = np.array(check["force_change_fraction"])
-    assert len(change) == len(DEPTHS)
+    assert check["depths_mm"] == pytest.approx(DEPTHS[[0, 2, 3]], rel=1e-3)
     harder = block.true_curve("tet4", DEPTHS, **TRUTH, penalty=80.0)
-    assert change == pytest.approx(harder / forces - 1.0, abs=2e-3)
+    assert change == pytest.approx((harder / forces - 1.0)[[0, 2, 3]], abs=2e-3)
     assert np.all(change > 0.005)
     assert any("with a contact 4 times as stiff the force changes" in line for line in fitted[0].summary)
 

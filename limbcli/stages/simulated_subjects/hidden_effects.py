@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from scipy.signal import lfilter
 
 from limbcli.effects import effect
 from limbcli.effects.effect import Effect, Theta
@@ -266,6 +265,8 @@ def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 def _relaxing_trace(trace: Array, share: float) -> Array:
     """The load cell's record with the same relaxation terms, sample by sample."""
+    from scipy.signal import lfilter  # slow to import
+
     step = float(np.median(np.diff(trace[:, 0])))
     elastic, added = trace[:, 1], np.zeros(len(trace))
     for part, tau in _TERMS:
