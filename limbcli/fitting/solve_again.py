@@ -25,8 +25,8 @@ _LEAST_CHECKED = 3
 
 
 def checked_levels(model: LimbModel) -> IntArray:
-    """Numbers of the levels at which a check solves a changed model: a third of many, at least three, with the
-    first and the last; all where the load has several steps.
+    """Numbers of the levels at which a check solves a changed model: a third of many, at least three, among
+    them the first and the last; all where the load has several steps.
 
     Between them what a contact or a boundary changes varies little: on the sites of `cases/` (4 to 12 levels)
     an interpolation from three levels errs by 0.6 % of the force at most, by 0.1 % at the median.
