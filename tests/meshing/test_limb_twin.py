@@ -7,10 +7,11 @@ import pytest
 
 from limbcli.feb.settings import schedule
 from limbcli.materials.ogden import ogden_type
+from limbcli.meshing.crop import within
 from limbcli.meshing.frame import SiteFrame, site_frame
 from limbcli.meshing.limb_parts import limb_frame
-from limbcli.meshing.mending import mend
-from limbcli.meshing.probe import ProbeShape, probe_mesh
+from limbcli.meshing.mending import Plane, mend
+from limbcli.meshing.probe import PlacedProbe, ProbeShape, probe_mesh
 from limbcli.meshing.regions import reachable
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
@@ -26,10 +27,16 @@ PROBE = ProbeShape(40.0, 14.0, 3.0)
 BEHIND = (0.0, 40.0, 80.0)
 
 
-def with_probe(mesh: Mesh, frame: SiteFrame, bones: list[str], shape: ProbeShape = PROBE) -> LimbModel:
-    """A limb's mesh in a site's frame, with the probe at first touch, bones fixed and the cut held."""
+def with_probe(
+    mesh: Mesh, frame: SiteFrame, bones: list[str], shape: ProbeShape = PROBE, cuts: tuple[Plane, ...] = ()
+) -> LimbModel:
+    """A limb's mesh in a site's frame, with the probe at first touch, bones fixed and the cut held.
+
+    cuts : planes beyond which the limb is held too, as the site's model is at its cuts
+    """
     points = mesh.points @ frame.to_model[:3, :3].T + frame.to_model[:3, 3]
     rigid, first = probe_mesh(shape), len(points)
+    of_bones = np.concatenate([mesh.node_sets[name] for name in bones])
     ((kind, facets),) = mesh.surfaces["skin"].facets.items()
     near = reachable(points, facets[:, :3], shape)
     probe = {"quad4": rigid.quads + first, "tri3": rigid.tips + first}
@@ -42,7 +49,9 @@ def with_probe(mesh: Mesh, frame: SiteFrame, bones: list[str], shape: ProbeShape
         "contact": Surface("contact", {kind: facets[near]}),
         "probe_face": Surface("probe_face", probe),
     }
-    whole = Mesh(np.vstack([points, rigid.points - [0, 0, START]]), blocks, mesh.node_sets, surfaces)
+    beyond = np.flatnonzero(~within(points, cuts, slack=0.0))
+    sets = {**mesh.node_sets, HELD: np.union1d(mesh.node_sets[HELD], np.setdiff1d(beyond, of_bones))}
+    whole = Mesh(np.vstack([points, rigid.points - [0, 0, START]]), blocks, sets, surfaces)
     held = [RigidBody(name, (0.0, 0.0, 0.0), (), (name,)) for name in bones]
     fixed = [(body.name, dof) for body in held for dof in "xyzuvw"] + [("probe", dof) for dof in "xyuvw"]
     return LimbModel(
@@ -75,6 +84,6 @@ def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model(monkeypa
     sizes = Sizes(4.0, 16.0, growth=0.8)
     local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=45.0, sizes=sizes))
     quickly_meshed(monkeypatch)
-    options = LimbMeshOptions(nodes=8_000, fine_at=(BEHIND,), fine_size=3.5, fine_reach=15.0)
+    options = LimbMeshOptions(nodes=8_000, probes=(PlacedProbe(PROBE, frame.to_model),))
     mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), options).mesh
     assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(force(local.model), rel=0.02)
