@@ -5,7 +5,8 @@
 
 Prints a row for each place of a site: the force at the site's deepest level (c 8 kPa, f_kappa 100, m 2, no
 layers) by the site's model, and how far those of others are from it: the limb's; the limb's held beyond the
-site's cuts as the site's model is there; the site's model with its cuts free, and without cuts.
+site's cuts as the site's model is there; the site's model with its cuts free, and without cuts. The last
+column is the limb's with a tissue as much stiffer as `limb` takes it: by half of what free cuts change.
 `--site-size-mm 0` leaves the limb's mesh as coarse at the sites as elsewhere.
 """
 
@@ -20,6 +21,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects.crop import EFFECT as CROP
+from limbcli.effects.crop import LIMB_POSITION
 from limbcli.meshing.frame import site_frame
 from limbcli.meshing.limb_parts import limb_frame
 from limbcli.meshing.mending import Limb, mend
@@ -36,7 +38,7 @@ from limbcli.stages.limb import named_surfaces
 from limbcli.stages.mesh import mesh_options
 from tests.meshing.test_limb_twin import with_probe
 
-MODELS = ("limb", "limb held as the site", "site, cuts free", "site without cuts")
+MODELS = ("limb", "limb held as the site", "site, cuts free", "site without cuts", "limb, corrected")
 
 
 def main() -> None:
@@ -76,7 +78,9 @@ def main() -> None:
         local = site_model(body, place, site.long_axis, shape, options, name=site.name)
         force = reference_force(local.model, depth)
         others = others_of(local, body, place, site, shape, options, found.mesh, list(bones))
-        shares = [f"{100 * (reference_force(each, depth) / force - 1):+.1f} %" for each in others]
+        ratios = [reference_force(each, depth) / force for each in others]
+        ratios.append(ratios[0] / ratios[2] ** LIMB_POSITION)
+        shares = [f"{100 * (each - 1):+.1f} %" for each in ratios]
         print(
             f"| {case.subject}, {site.name} | {options.element} | {depth:.1f} mm "
             f"| {len(found.mesh.points):,}, {len(local.model.mesh.points):,} | {force:.3f} N "
@@ -89,7 +93,7 @@ def others_of(
     local: SiteModel, body: Limb, place: tuple[float, float, float], site: Site, shape: ProbeShape,
     options: MeshOptions, mesh: Mesh, bones: list[str],
 ) -> list[LimbModel]:  # fmt: skip
-    """The models that are compared with a site's, in the order of `MODELS`."""
+    """The models that are compared with a site's, in the order of `MODELS` (the last is one of them)."""
     uncut = replace(options, margin=MARGIN_MM[1])
     return [
         with_probe(mesh, local.frame, bones, shape),

@@ -13,8 +13,7 @@ from limbcli.meshing.limb_parts import limb_frame
 from limbcli.meshing.mending import Plane, mend
 from limbcli.meshing.probe import PlacedProbe, ProbeShape, probe_mesh
 from limbcli.meshing.regions import reachable
-from limbcli.meshing.remesh import Sizes
-from limbcli.meshing.site_model import MeshOptions, site_model
+from limbcli.meshing.site_model import site_model
 from limbcli.meshing.whole_limb import HELD, LimbMeshOptions, limb_mesh
 from limbcli.model import Block, Domain, LimbModel, Mesh, Support, Surface
 from limbcli.model.bodies import Contact, Drive, RigidBody
@@ -23,7 +22,7 @@ from limbcli.solvers.session import ReferenceSession
 from tests.meshing.stump import quickly_meshed, stump
 
 START, DEPTH = 0.05, 2.0
-PROBE = ProbeShape(40.0, 14.0, 3.0)
+PROBE = ProbeShape(26.0, 9.0, 2.0)
 BEHIND = (0.0, 40.0, 80.0)
 
 
@@ -76,14 +75,17 @@ def force(model: LimbModel) -> float:
 
 @pytest.mark.slow
 def test_the_whole_limb_under_a_probe_gives_the_force_of_the_site_model(monkeypatch):
-    """Behind a stump, where 25 mm of tissue lie over the bones."""
+    """Behind a stump, at the default sizes. Held where the site's model is cut, the limb differs by the two
+    meshes' errors (about 0.5 %), else by the limb that gives way beyond the cuts, too (1.4 %)."""
     surfaces = stump()
     skin = surfaces.pop("skin")
     limb = mend(skin, list(surfaces.values()))
     frame = site_frame(limb, np.array(BEHIND), "axial", PROBE)
-    sizes = Sizes(4.0, 16.0, growth=0.8)
-    local = site_model(limb, BEHIND, "axial", PROBE, MeshOptions(margin=45.0, sizes=sizes))
+    local = site_model(limb, BEHIND, "axial", PROBE)
     quickly_meshed(monkeypatch)
-    options = LimbMeshOptions(nodes=8_000, probes=(PlacedProbe(PROBE, frame.to_model),))
+    options = LimbMeshOptions(nodes=20_000, probes=(PlacedProbe(PROBE, frame.to_model),))
     mesh = limb_mesh(limb, surfaces, limb_frame(limb, "left"), options).mesh
-    assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(force(local.model), rel=0.02)
+    wanted = force(local.model)
+    held = with_probe(mesh, frame, list(surfaces), PROBE, cuts=local.domain.planes)
+    assert force(held) == pytest.approx(wanted, rel=0.01)
+    assert force(with_probe(mesh, frame, list(surfaces))) == pytest.approx(wanted, rel=0.02)
