@@ -74,8 +74,8 @@ def limb(
     site_size_mm: Annotated[
         float | None,
         Option(
-            "Edge length around the sites, mm, such as 3 to model a probe there; default: no finer than "
-            "elsewhere.",
+            "Edge length under a probe at the sites, mm, such as 2.5, growing from there as in their own "
+            "meshes; default: no finer than elsewhere.",
             LIMB_SITE_SIZE_MM,
         ),
     ] = None,

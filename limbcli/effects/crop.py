@@ -16,6 +16,7 @@ import numpy as np
 from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import LimbModel, Support
 
+LIMB_POSITION = 0.5  # position of a limb between a fixed (0) and a free (1) cut
 FREED = Parameter("cut_freed", null=0.0, start=1.0, low=0.0, high=1.0, typical=1.0, prior="0 or 1")
 
 

@@ -45,7 +45,6 @@ class TissueDomain:
 
     whole : whether it is a whole limb: of separate pieces of tissue the largest is meant, not that at the
         site
-    finest : upper limit of the edge length (mm) on the grid; None: no further one
     """
 
     skin: Field
@@ -53,7 +52,6 @@ class TissueDomain:
     planes: tuple[Plane, ...]
     notes: tuple[str, ...]
     whole: bool = False
-    finest: Field | None = None
 
     @cached_property
     def boundary(self) -> Triangles:

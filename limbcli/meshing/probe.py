@@ -8,7 +8,8 @@ sphere at its corners, then vertical walls.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -59,6 +60,28 @@ class ProbeShape:
         a, b = self.flat
         d = np.hypot(np.maximum(np.abs(x) - a, 0), np.maximum(np.abs(y) - b, 0))
         return np.maximum(d - self.edge_radius, 0)
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedProbe:
+    """A probe on a limb; to_site (4, 4) leads from the limb's frame to that of the probe's site."""
+
+    shape: ProbeShape
+    to_site: Array = field(default_factory=lambda: np.eye(4))
+
+    def beside_and_height(self, points: Array) -> tuple[Array, Array]:
+        """Distance (...) to the face's outline in plan and height (...) above the face of points (..., 3)."""
+        x, y, z = np.moveaxis(points @ self.to_site[:3, :3].T + self.to_site[:3, 3], -1, 0)
+        return self.shape.distance_in_plan(x, y), z
+
+
+def distance_to_faces(probes: Sequence[PlacedProbe], points: Array) -> Array:
+    """Distance (...) of points (..., 3) to the nearest probe's face, above it in plan; inf without probes."""
+    found = np.full(points.shape[:-1], np.inf)
+    for each in probes:
+        beside, height = each.beside_and_height(points)
+        found = np.minimum(found, np.hypot(beside, np.minimum(height, 0.0)))
+    return found
 
 
 def check_shape(shape: ProbeShape, *, where: str = "[probe]") -> ProbeShape:

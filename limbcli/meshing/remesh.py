@@ -19,7 +19,7 @@ from limbcli.meshing.domain import BONE, CUT, TissueDomain
 from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded, relax, split_long
 from limbcli.meshing.improve import FIXED, NodeConstraints, put_back
 from limbcli.meshing.meshlab import open_pymeshlab
-from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.probe import PlacedProbe, distance_to_faces
 from limbcli.meshing.surfaces import Triangles, undirected
 from limbcli.model import Array, IntArray
 
@@ -56,13 +56,13 @@ class Sizes:
 
 @dataclass(frozen=True, eq=False)
 class SizeField:
-    """Target edge length at any point: fine under the probe, coarse far away, finer where thin or curved.
+    """Target edge length at any point: fine under the probes, coarse far away, finer where thin or curved.
 
-    probe : None for a whole limb, where only thin and curved places are finer than `sizes.far`
+    probes : one in a site's model; in a whole limb those at its sites, or none
     """
 
     sizes: Sizes
-    probe: ProbeShape | None
+    probes: tuple[PlacedProbe, ...]
     domain: TissueDomain
     bend: Field  # upper limit of the edge length from curvature and thin places
     least: float
@@ -70,15 +70,12 @@ class SizeField:
     def at(self, points: Array) -> Array:
         """Target edge length (n,), mm, at points (n, 3)."""
         s = self.sizes
-        if self.probe is None:
-            return np.maximum(np.minimum(s.far, self.bend.at(points)), self.least)
-        beside = self.probe.distance_in_plan(points[:, 0], points[:, 1])
-        distance = np.hypot(beside, np.minimum(points[:, 2], 0.0))
+        distance = distance_to_faces(self.probes, points)
         wanted = np.clip(s.under_probe + s.growth * np.maximum(distance - s.reach, 0), s.under_probe, s.far)
         return np.maximum(np.minimum(wanted, self.bend.at(points)), self.least)
 
 
-def size_field(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) -> SizeField:
+def size_field(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Sizes) -> SizeField:
     """The size field of a domain: thickness and radius of curvature limit the size of the facets."""
     limit = np.full(domain.skin.grid.shape, sizes.far)
     if domain.bone is not None:
@@ -86,15 +83,13 @@ def size_field(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) -> 
         limit = np.minimum(limit, 1.4 * thickness + 0.3)
         limit = np.minimum(limit, _cleft_limit(domain, sizes.far))
         limit = np.maximum(limit, min(sizes.thin, sizes.far))
-    sag = _chord_error(domain, probe)
+    sag = _chord_error(domain, probes)
     for field in (domain.skin, domain.bone):
         if field is not None:
             limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
     limit[~_within_cuts(domain)] = sizes.far
-    if domain.finest is not None:
-        limit = np.minimum(limit, domain.finest.values)
     bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
-    return SizeField(sizes, probe, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
+    return SizeField(sizes, probes, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
 
 
 def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.bool_]:
@@ -107,14 +102,12 @@ def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.boo
 
 
 def _chord_error(
-    domain: TissueDomain, probe: ProbeShape | None, *, near: float = 0.25, growth: float = 0.03
+    domain: TissueDomain, probes: tuple[PlacedProbe, ...], *, near: float = 0.25, growth: float = 0.03
 ) -> Array:
-    """Permitted deviation (mm) of facets from the true surface: small under the probe, larger far away."""
-    if probe is None:
-        return np.full(domain.skin.grid.shape, 2 * near)
-    points = domain.skin.grid.points()
-    beside = probe.distance_in_plan(points[..., 0], points[..., 1])
-    return near + growth * np.hypot(beside, np.minimum(points[..., 2], 0.0))
+    """Permitted deviation (mm) of facets from the true surface: small under the probes, larger far away; of a
+    whole limb at most twice that under them."""
+    sag = near + growth * distance_to_faces(probes, domain.skin.grid.points())
+    return np.minimum(sag, 2 * near) if domain.whole else sag
 
 
 def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:

@@ -12,7 +12,7 @@ from limbcli.errors import MeshError, ToolError
 from limbcli.meshing.domain import TissueDomain
 from limbcli.meshing.improve import NodeConstraints, put_back, smooth, worst_sines
 from limbcli.meshing.mesher_process import in_process
-from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.probe import PlacedProbe
 from limbcli.meshing.quality import dihedral_angles_deg
 from limbcli.meshing.remesh import (
     Boundary,
@@ -51,18 +51,24 @@ class VolumeMesh:
 
 
 def under_probe(
-    points: Array, cells: IntArray, probe: ProbeShape | None, *, beside: float = 2.0, depth: float = 15.0
+    points: Array,
+    cells: IntArray,
+    probes: tuple[PlacedProbe, ...],
+    *,
+    beside: float = 2.0,
+    depth: float = 15.0,
 ) -> NDArray[np.bool_]:
-    """Which cells (n_cells,) lie under the probe face: their centroid at most `depth` mm below it."""
-    if probe is None:
-        return np.zeros(len(cells), bool)
+    """Which cells (n_cells,) lie under a probe's face: their centroid at most `depth` mm below it."""
     middle = points[cells[:, :4]].mean(axis=1)
-    near = probe.distance_in_plan(middle[:, 0], middle[:, 1]) <= beside
-    return np.asarray(near & (middle[:, 2] > -depth), bool)
+    found = np.zeros(len(cells), bool)
+    for each in probes:
+        distance, height = each.beside_and_height(middle)
+        found |= (distance <= beside) & (height > -depth)
+    return found
 
 
-def mesh_volume(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) -> VolumeMesh:
-    """Graded tetrahedra in a domain, good enough for the solver; probe: None for a whole limb.
+def mesh_volume(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Sizes) -> VolumeMesh:
+    """Graded tetrahedra in a domain, good enough for the solver; probes: those that press on it.
 
     Tried in turn: TetGen on the boundary remeshed as requested (finer where facets intersect), TetGen on a
     finer boundary, TetGen with smoothed bones, fTetWild.
@@ -70,15 +76,15 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) ->
     Raises
     ------
     MeshError
-        If no method yields cells of positive volume with dihedral angles of at least 4 degrees (8 under the
+        If no method yields cells of positive volume with dihedral angles of at least 4 degrees (8 under a
         probe); it reports the outcome of each.
     """
     tale: list[str] = []
     ways: list[Callable[[], VolumeMesh]] = [
-        lambda: _with_tetgen(domain, probe, sizes, tale),
-        lambda: _with_tetgen(domain, probe, sizes.finer(0.75), tale),
-        lambda: _with_tetgen(domain.smoothed(1.0), probe, sizes.finer(0.85), tale),
-        lambda: _with_ftetwild(domain.smoothed(1.0), probe, sizes, tale),
+        lambda: _with_tetgen(domain, probes, sizes, tale),
+        lambda: _with_tetgen(domain, probes, sizes.finer(0.75), tale),
+        lambda: _with_tetgen(domain.smoothed(1.0), probes, sizes.finer(0.85), tale),
+        lambda: _with_ftetwild(domain.smoothed(1.0), probes, sizes, tale),
     ]
     names = ("as asked", "remeshed finer", "bones smoothed", "fTetWild")
     best: tuple[float, VolumeMesh] | None = None
@@ -88,7 +94,7 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) ->
         except (MeshError, ToolError) as error:
             tale.append(f"{name}: {error.what}")
             continue
-        score = _score(found, probe)
+        score = _score(found, probes)
         if score >= 1.0:
             return VolumeMesh(found.points, found.cells, found.faces, found.labels, found.maker, tuple(tale))
         tale.append(f"{name}: smallest dihedral angle only {score:.2f} of the required one")
@@ -102,16 +108,18 @@ def mesh_volume(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes) ->
     )
 
 
-def _score(mesh: VolumeMesh, probe: ProbeShape | None) -> float:
+def _score(mesh: VolumeMesh, probes: tuple[PlacedProbe, ...]) -> float:
     """Smallest ratio of a cell's dihedral angle to the required one; 1 or more is sufficient."""
     lowest = dihedral_angles_deg(mesh.points, mesh.cells).min(axis=1)
-    near = under_probe(mesh.points, mesh.cells, probe)
+    near = under_probe(mesh.points, mesh.cells, probes)
     return float((lowest / np.where(near, MIN_ANGLE_UNDER_PROBE_DEG, MIN_ANGLE_DEG)).min())
 
 
-def _with_tetgen(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, tale: list[str]) -> VolumeMesh:
+def _with_tetgen(
+    domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Sizes, tale: list[str]
+) -> VolumeMesh:
     fine = domain.boundary
-    field = size_field(domain, probe, sizes)
+    field = size_field(domain, probes, sizes)
     graded = unfold(remesh(fine, domain, field), domain)
     for _ in range(_LOCAL_REPAIRS):
         bad = bad_places(graded)
@@ -130,7 +138,7 @@ def _with_tetgen(domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, t
             tale.append(error.what)
             continue
         found = _improved(raw, *labelled_boundary(raw, graded, domain), domain)
-        score = _score(found, probe)
+        score = _score(found, probes)
         if best is None or score > best[0]:
             best = score, found
         if score >= 1.15:
@@ -172,10 +180,10 @@ def _improved(raw: Tetrahedra, faces: IntArray, labels: IntArray, domain: Tissue
 
 
 def _with_ftetwild(
-    domain: TissueDomain, probe: ProbeShape | None, sizes: Sizes, tale: list[str]
+    domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Sizes, tale: list[str]
 ) -> VolumeMesh:
     """Mesh with fTetWild: slower, its surface within a tolerance of ours, but it accepts any input."""
-    field = size_field(domain, probe, sizes)
+    field = size_field(domain, probes, sizes)
     surface = _remeshed_or_not(domain, field, tale)
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
     options = {

@@ -15,7 +15,7 @@ from limbcli.meshing.crop import crop_planes
 from limbcli.meshing.domain import CUT, TissueDomain, make_domain
 from limbcli.meshing.frame import SiteFrame, site_frame
 from limbcli.meshing.mending import Limb, Plane
-from limbcli.meshing.probe import ProbeMesh, ProbeShape, check_shape, probe_mesh
+from limbcli.meshing.probe import PlacedProbe, ProbeMesh, ProbeShape, check_shape, probe_mesh
 from limbcli.meshing.quality import MeshQuality, quality
 from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
 from limbcli.meshing.remesh import Sizes
@@ -145,17 +145,19 @@ def _fill(
     domain: TissueDomain, core: TissueDomain | None, probe: ProbeShape, options: MeshOptions
 ) -> tuple[VolumeMesh, IntArray]:
     """The cells and the index of each cell's block; `core` is the tissue below the layers."""
+    probes = (PlacedProbe(probe),)
     if core is None:
-        volume = mesh_volume(domain, probe, options.sizes)
+        volume = mesh_volume(domain, probes, options.sizes)
         return volume, np.zeros(len(volume.cells), np.int64)
     sizes = replace(options.sizes, reach=options.sizes.reach + _thickness(options))
-    return with_layers(mesh_volume(core, probe, sizes), core, domain.skin, options.layers)
+    return with_layers(mesh_volume(core, probes, sizes), core, domain.skin, options.layers)
 
 
 def _figures(mesh: Mesh, volume: VolumeMesh, probe: ProbeShape) -> MeshQuality:
     cells = np.concatenate([each.cells for each in mesh.solid_blocks])
-    face = under_probe(mesh.points, cells, probe, beside=0.0, depth=3.0)
-    return quality(mesh.points, cells, under_probe(mesh.points, cells, probe), face)
+    probes = (PlacedProbe(probe),)
+    face = under_probe(mesh.points, cells, probes, beside=0.0, depth=3.0)
+    return quality(mesh.points, cells, under_probe(mesh.points, cells, probes), face)
 
 
 def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbModel:

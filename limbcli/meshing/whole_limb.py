@@ -15,11 +15,11 @@ from scipy.spatial import cKDTree
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.conforming_layers import Layer, core_of, open_ended, with_layers
-from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain, make_domain
 from limbcli.meshing.improve import NodeConstraints, put_back
 from limbcli.meshing.limb_parts import LimbFrame
 from limbcli.meshing.mending import Limb, Plane
+from limbcli.meshing.probe import PlacedProbe
 from limbcli.meshing.quality import EDGES, volumes
 from limbcli.meshing.regions import facets, quadratic
 from limbcli.meshing.remesh import Sizes
@@ -35,7 +35,6 @@ _OFF, _ATTEMPTS = 0.2, 3  # accepted deviation of the number of nodes from the r
 _SAMPLES = 4e6  # samples of the distance grid
 _SPACING = (1.0, 2.5)  # mm between them
 _FINEST = 0.45  # smallest edge length over thin tissue and on bends, as a fraction of the usual one
-_FINE_GROWTH = 0.35  # mm per mm, growth of the edge length away from finer places
 _ALONG = 0.5  # cosine between the axis and the normal of a cut end; below it, the cut runs along the limb
 _SHORTEST = 30.0  # mm of limb that a cut must leave
 # A curved cell is kept if its Jacobian is at least this fraction of that of the straight cell.
@@ -50,8 +49,7 @@ class LimbMeshOptions:
     nodes : requested number of nodes
     cut : height (mm) of the proximal cut above the limb's distal end; None: where the images end
     distal_cut : accept a limb that is cut at its distal end too
-    fine_at : points (x, y, z) of the skin round which edges are no longer than `fine_size` (mm), as far away
-        as `fine_reach` (mm)
+    probes : under them edges are as in the sites' own models, `under_probe` (mm) long and growing as there
     """
 
     element: str = "tet10"
@@ -59,9 +57,8 @@ class LimbMeshOptions:
     cut: float | None = None
     distal_cut: bool = False
     layers: tuple[Layer, ...] = ()
-    fine_at: tuple[tuple[float, float, float], ...] = ()
-    fine_size: float = 3.0
-    fine_reach: float = 25.0
+    probes: tuple[PlacedProbe, ...] = ()
+    under_probe: float = Sizes.under_probe
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,8 +163,6 @@ def limb_mesh(
     extent = np.prod(np.ptp(limb.skin.points, axis=0))
     spacing = float(np.clip((extent / _SAMPLES) ** (1 / 3), *_SPACING))
     domain = make_domain(limb, tuple(planes.values()), spacing=spacing, whole=True)
-    if options.fine_at:
-        domain = replace(domain, finest=_fine(domain, options))
     filled = open_ended(domain, options.layers) if options.layers else domain
     core = core_of(filled, options.layers) if options.layers else None
     volume, kinds, size = _sized(filled, core, options, progress)
@@ -176,25 +171,18 @@ def limb_mesh(
     return LimbMesh(mesh, planes, domain.notes, volume.maker, size, domain.boundary.volume, curved)
 
 
-def _fine(domain: TissueDomain, options: LimbMeshOptions) -> Field:
-    """Upper limit of the edge length that is small round the requested points, and then grows."""
-    grid = domain.skin.grid
-    away, _ = cKDTree(np.array(options.fine_at)).query(grid.points().reshape(-1, 3))
-    beyond = np.maximum(away - options.fine_reach, 0.0).reshape(grid.shape)
-    return Field(grid, options.fine_size + _FINE_GROWTH * beyond)
-
-
 def _sized(
     domain: TissueDomain, core: TissueDomain | None, options: LimbMeshOptions, progress: Progress
 ) -> tuple[VolumeMesh, IntArray, float]:
     """Cells, their blocks, and the edge length at which the mesh has about the requested number of nodes."""
     inside = (core or domain).boundary.volume
     size = float((_NODES_PER_VOLUME[options.element] * inside / options.nodes) ** (1 / 3))
+    reach = Sizes.reach + sum(each.thickness for each in options.layers)
     best: tuple[float, VolumeMesh, IntArray, float] | None = None
     for _ in range(_ATTEMPTS):
         progress.event("task", name=f"limb: volume, edges of {size:.1f} mm", done=1, total=3)
-        sizes = Sizes(under_probe=size, far=size, bends=_FINEST * size, thin=_FINEST * size)
-        volume = mesh_volume(core or domain, None, sizes)
+        sizes = Sizes(options.under_probe, size, reach=reach, bends=_FINEST * size, thin=_FINEST * size)
+        volume = mesh_volume(core or domain, options.probes, sizes)
         kinds = np.zeros(len(volume.cells), np.int64)
         if core is not None:
             volume, kinds = with_layers(volume, core, domain.skin, options.layers)

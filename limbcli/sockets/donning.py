@@ -86,6 +86,11 @@ class DonningOptions:
     slip_as_febio: bool = False
     knee: KneeLoad | None = None
 
+    @property
+    def skin_friction(self) -> float:
+        """Between skin and a liner that slides."""
+        return self.friction if self.liner_friction is None else self.liner_friction
+
 
 @dataclass(frozen=True, eq=False)
 class SocketState:
@@ -206,11 +211,10 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
     )
     contacts: tuple[Contact, ...] = (contact,)
     if options.liner_slides:
-        friction = options.friction if options.liner_friction is None else options.liner_friction
         contacts += (
             replace(
-                contact, primary=_SKIN, secondary=LINER_INSIDE, name="liner_contact", friction=friction,
-                penalty_curve=None,
+                contact, primary=_SKIN, secondary=LINER_INSIDE, name="liner_contact",
+                friction=options.skin_friction, penalty_curve=None,
             ),
         )  # fmt: skip
     return replace(
@@ -291,7 +295,7 @@ def _check(limb: LimbModel, options: DonningOptions) -> None:
     elif options.liner_slides and LINER_INSIDE not in limb.mesh.surfaces:
         wrong, fix = "the limb has no liner that slides", "make it with `with_liner`, not bonded"
     elif (
-        min(options.friction, options.liner_friction or 0.0) < 0
+        min(options.friction, options.skin_friction) < 0
         or options.penalty <= 0
         or options.search_radius_mm <= 0
     ):
@@ -430,6 +434,11 @@ def _explained(error: SolveError, n_states: int, options: DonningOptions) -> Sol
         fix = (
             "use more load steps or a smaller load: the limb may slide on into the socket, or out of it, "
             "where neither its shape nor friction holds it"
+        )
+    if options.liner_slides and not max(options.friction, options.skin_friction):
+        fix = (
+            "give the liner a friction on one of its faces, or bond it: without any only its shape holds it "
+            "along the limb, and it slides out of the socket"
         )
     return SolveError(
         f"{what} has no equilibrium: {error.what}", where=error.where, fix=fix, n_states=n_states

@@ -14,9 +14,11 @@ from limbcli.errors.problems import raise_errors
 from limbcli.feb.write import write_feb
 from limbcli.meshing.anatomy import SKIN, limb_problems
 from limbcli.meshing.conforming_layers import Layer, layers_of
+from limbcli.meshing.frame import site_frame
 from limbcli.meshing.limb_parts import LimbFrame, LimbParts, limb_frame, limb_parts
 from limbcli.meshing.limb_picture import limb_picture
-from limbcli.meshing.mending import mend
+from limbcli.meshing.mending import Limb, mend
+from limbcli.meshing.probe import PlacedProbe, ProbeShape
 from limbcli.meshing.quality import dihedral_angles_deg, scaled_jacobians, volumes
 from limbcli.meshing.sites_on_skin import place_fault
 from limbcli.meshing.surfaces import Triangles, read_surface
@@ -80,7 +82,7 @@ _ASSUMED_TUBE = "numbers"  # kind of the assumed geometry without a distal end
 class LimbOptions:
     """Options of a limb's model: those of its mesh, and its stiffness (kPa) if given by hand.
 
-    site_size : edge length (mm) round the sites, for a probe to be set there; None: as elsewhere
+    site_size : edge length (mm) under a probe at the sites, as in their models; None: as elsewhere
     draws : numbers of the draws of the stiffness field whose models are written, too
     """
 
@@ -139,8 +141,8 @@ def limb(
             distal_cut=options.distal_cut or tube, layers=layers,
         )  # fmt: skip
         if options.site_size is not None:
-            at = tuple((float(x), float(y), float(z)) for x, y, z in places.values())
-            mesh_options = replace(mesh_options, fine_at=at, fine_size=options.site_size)
+            probes = probes_at(case, body, places)
+            mesh_options = replace(mesh_options, probes=probes, under_probe=options.site_size)
         found = limb_mesh(body, bones, frame, mesh_options, where=where, progress=progress)
         check_invariants(found)
         parts, surface = parts_of(found, frame, bones)
@@ -335,6 +337,23 @@ def _places(case: Case, segmented: StageResult, skin: Triangles, writer: StageWr
             continue
         found[site.name] = place
     return found
+
+
+def probes_at(case: Case, body: Limb, places: Mapping[str, Array]) -> tuple[PlacedProbe, ...]:
+    """The case's probe at the sites, once where two share a place and a long axis.
+
+    places : (3,) mm, patient LPS, by the site's name
+    """
+    shape = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
+    if not np.isfinite([shape.length, shape.width, shape.edge_radius]).all():
+        what = "no probe to mesh for: its dimensions are not known"
+        raise CaseError(what, where="--site-size-mm", fix="complete [probe], or leave the option out")
+    sites = {(*places[each.name], str(each.long_axis)): each for each in case.sites if each.name in places}
+    frames = (
+        site_frame(body, places[each.name], each.long_axis, shape, where=f"site {each.name}")
+        for each in sites.values()
+    )
+    return tuple(PlacedProbe(shape, each.to_model) for each in frames)
 
 
 def limb_model(

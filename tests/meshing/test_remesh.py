@@ -11,12 +11,13 @@ from limbcli.meshing.facets import edges_of, faces_round
 from limbcli.meshing.frame import site_frame
 from limbcli.meshing.improve import FIXED, FREE, NodeConstraints
 from limbcli.meshing.mending import mend
-from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.probe import PlacedProbe, ProbeShape, distance_to_faces
 from limbcli.meshing.remesh import Boundary, Sizes, bad_places, remesh, size_field
 from limbcli.meshing.surfaces import Triangles
 from limbcli.numbers.mesh_bounds import SIZE_MM
 
 PROBE = ProbeShape(40.0, 14.0, 3.0)
+PROBES = (PlacedProbe(PROBE),)
 
 
 @pytest.fixture(scope="module")
@@ -25,22 +26,38 @@ def made(leg):
     local = leg.moved(frame.to_model)
     domain = make_domain(local, crop_planes(local, PROBE, 25.0), spacing=1.5)
     fine = domain.boundary
-    field = size_field(domain, PROBE, Sizes(3.0, 9.0))
+    field = size_field(domain, PROBES, Sizes(3.0, 9.0))
     return domain, fine, field, remesh(fine, domain, field)
 
 
 def test_whole_numbers_ask_for_the_same_edges(made):
     """`far_size_mm=9` from Python and `--far-size-mm 9`, which is read as 9.0."""
     domain, _, field, _ = made
-    whole = size_field(domain, PROBE, Sizes(3, 9))  # type: ignore[arg-type]
+    whole = size_field(domain, PROBES, Sizes(3, 9))  # type: ignore[arg-type]
     assert (whole.bend.values % 1 > 0.01).any(), "edges between whole lengths are asked for"
     np.testing.assert_array_equal(whole.bend.values, field.bend.values)
 
 
 @pytest.mark.parametrize("size", [SIZE_MM[0], 1.2, 2.5])
 def test_a_small_edge_is_wanted_as_it_was_asked_for(made, size):
-    wanted = size_field(made[0], PROBE, Sizes(size, 9.0)).at(np.array([[0.0, 0.0, -1.0]]))
+    wanted = size_field(made[0], PROBES, Sizes(size, 9.0)).at(np.array([[0.0, 0.0, -1.0]]))
     assert wanted == pytest.approx([size])
+
+
+def test_probes_on_a_limb_ask_for_the_edges_of_their_sites_models(leg):
+    """Edges as in the model of the nearer of two sites: under the probe, beside it and below it."""
+    places = ([0.0, 42.0, 0.0], [42.0, 0.0, 20.0])
+    frames = [site_frame(leg, np.array(each), "axial", PROBE) for each in places]
+    probes = tuple(PlacedProbe(PROBE, each.to_model) for each in frames)
+    local = np.array(
+        [[0.0, 0.0, 0.0], [5.0, 2.0, -3.0], [0.0, 20.0, -1.0], [30.0, 0.0, -2.0], [0.0, 0.0, -12.0]]
+    )
+    for each in frames:
+        on_limb = local @ each.to_patient[:3, :3].T + each.to_patient[:3, 3]
+        wanted = distance_to_faces(PROBES, local)
+        np.testing.assert_allclose(distance_to_faces(probes, on_limb), wanted, atol=1e-9)
+    assert wanted.max() > 10
+    assert np.isinf(distance_to_faces((), local)).all()
 
 
 def test_volume_is_kept(made):
@@ -130,7 +147,7 @@ def test_a_cleft_between_bones_takes_as_few_facets_as_asked_for(make_tube):
     domain = make_domain(local, crop_planes(local, PROBE, 25.0), spacing=1.5)
     fine, found = domain.boundary, []
     for thin in (0.0, 6.0):
-        graded = remesh(fine, domain, size_field(domain, PROBE, Sizes(5.0, 14.0, bends=8.0, thin=thin)))
+        graded = remesh(fine, domain, size_field(domain, PROBES, Sizes(5.0, 14.0, bends=8.0, thin=thin)))
         assert graded.surface.volume == pytest.approx(fine.volume, rel=0.02)
         assert len(bad_places(graded)) == 0
         found.append(len(graded.surface.faces))

@@ -14,7 +14,7 @@ from limbcli.meshing.distance import Field, Grid
 from limbcli.meshing.domain import CUT, SKIN, TissueDomain
 from limbcli.meshing.mending import Plane
 from limbcli.meshing.mesher_process import in_process
-from limbcli.meshing.probe import ProbeShape
+from limbcli.meshing.probe import PlacedProbe, ProbeShape
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.remesh import Boundary, Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
@@ -130,7 +130,7 @@ def test_every_way_is_tried_and_told(monkeypatch):
     monkeypatch.setattr(volume, "_with_tetgen", refuse)
     monkeypatch.setattr(volume, "_with_ftetwild", refuse)
     with pytest.raises(MeshError) as caught:
-        volume.mesh_volume(empty_domain(), PROBE, Sizes())
+        volume.mesh_volume(empty_domain(), (PlacedProbe(PROBE),), Sizes())
     for name in ("as asked", "remeshed finer", "bones smoothed", "fTetWild"):
         assert f"{name}: refused" in caught.value.what
 
@@ -149,7 +149,7 @@ def test_poor_cells_lead_to_the_next_way(monkeypatch):
         )
 
     monkeypatch.setattr(volume, "_with_tetgen", mesh)
-    found = volume.mesh_volume(empty_domain(), PROBE, Sizes(2.0, 8.0))
+    found = volume.mesh_volume(empty_domain(), (PlacedProbe(PROBE),), Sizes(2.0, 8.0))
     assert calls == [2.0, 1.5]
     assert "smallest dihedral angle only" in found.notes[0]
 

@@ -9,13 +9,13 @@ import pytest
 from small_models import block, top_facets
 from stumps import DOWN, stump
 
-from limbcli.errors import MeshError
+from limbcli.errors import MeshError, SolveError
 from limbcli.fem.system import System
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, Mesh, Surface
 from limbcli.sockets.centre_line import centre_line
 from limbcli.sockets.checks import check_room, clearance
-from limbcli.sockets.donning import DonningOptions, don_and_load
+from limbcli.sockets.donning import DonningOptions, _explained, don_and_load
 from limbcli.sockets.liner import LINER, LINER_INSIDE, TIGHT_MM, Liner, grown, with_liner
 from tests.benchmarks import socket_febio_sleeve as sleeve
 
@@ -81,6 +81,16 @@ def test_a_liner_thicker_than_the_gap_is_refused() -> None:
     with pytest.raises(MeshError, match="thicker than the gap") as caught:
         check_room(before, skin, 8.0)
     assert caught.value.fix
+
+
+def test_a_liner_without_any_friction_is_named_where_there_is_no_equilibrium() -> None:
+    """On a tapered sleeve that is open at both ends it slid 14 mm, and no load of 2 N was found."""
+    slides = DonningOptions(friction=0.0, liner_slides=True, skin=LINER)
+    stopped = SolveError("load step 2 of 2 stopped", where="node 7", fix="use more load steps")
+    for n_states in (0, 1):
+        assert "give the liner a friction" in _explained(stopped, n_states, slides).fix
+        for held in (replace(slides, liner_friction=0.3), replace(slides, liner_slides=False)):
+            assert "liner" not in _explained(stopped, n_states, held).fix
 
 
 def test_a_liner_that_hardly_slides_is_nearly_a_bonded_one() -> None:

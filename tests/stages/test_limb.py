@@ -242,7 +242,7 @@ def test_a_change_of_the_surfaces_makes_the_result_stale(made, tmp_path):
 def test_fat_of_a_site_is_a_conforming_layer_and_c_that_of_speed_at_rest(tmp_path):
     case = write_case(tmp_path / "case", more=SITE)
     segment(case, out=tmp_path / "out")
-    found = limbcli.limb(case, out=tmp_path / "out", nodes=8_000)
+    found = limbcli.limb(case, out=tmp_path / "out", nodes=8_000, site_size_mm=3.0)
     model = found.model()
     assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
     shared = np.intersect1d(*(each.cells for each in model.mesh.solid_blocks))
@@ -251,7 +251,8 @@ def test_fat_of_a_site_is_a_conforming_layer_and_c_that_of_speed_at_rest(tmp_pat
     assert "site p1" in found.data["stiffness"]["source"]
     assert "site_p1" in model.mesh.node_sets
     inner = Triangles(model.mesh.points, next(iter(model.mesh.surfaces["skin"].facets.values()))[:, :3])
-    assert inner.areas.sum() > 0
+    near = np.linalg.norm(inner.centroids - [0.0, 40.0, 80.0], axis=1) < 6.0
+    assert np.sqrt(inner.areas[near].mean()) < 0.6 * np.sqrt(inner.areas.mean()), "finer under the probe"
 
 
 def test_without_segment_without_stiffness_and_with_a_wrong_option(tmp_path, made):
@@ -262,6 +263,8 @@ def test_without_segment_without_stiffness_and_with_a_wrong_option(tmp_path, mad
         limb(made[0], out=made[1], options=replace(OPTIONS, nodes=10))
     with pytest.raises(CaseError, match=r"c is 9000 kPa"):
         limbcli.limb(made[0], out=made[1], c_kpa=9000.0, nodes=5_000)
+    with pytest.raises(CaseError, match="no probe to mesh for"):
+        limb(made[0], out=made[1], options=replace(OPTIONS, site_size=3.0))
 
 
 def test_a_bone_through_the_skin_is_refused(tmp_path):

@@ -71,6 +71,17 @@ def read(**there: StageResult):
     return site_results(case_of(), Results(mesh=mesh(), **there))
 
 
+def test_what_a_fit_finds_from_the_force_is_moved_half_way_to_free_cuts():
+    """A factor of 1.44 in m with free cuts is one of 1.2 half-way; c comes from the speed and stays."""
+    free = {"cut_free": {"depths_mm": [4.0], "force_change_fraction": [-0.1], "m": 1.44 * FIT["m"]}}
+    values, _, source = of_fit({**FIT, "boundary_check": free})
+    m = values["m"]
+    assert (m.value, m.low, m.high) == tuple(pytest.approx(1.2 * each) for each in (4.0, 3.0, 5.5))
+    assert values["c"].value == pytest.approx(0.008)
+    assert values["f_kappa"].high is None
+    assert "free cuts" in source
+
+
 def test_a_fit_gives_all_parameters_in_mpa_with_intervals_and_correlation():
     values, correlation, source = of_fit(FIT)
     assert values["c"].value == pytest.approx(0.008)

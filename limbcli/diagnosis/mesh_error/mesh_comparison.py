@@ -12,6 +12,7 @@ import numpy as np
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, bend, where_solved
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_layers
 from limbcli.diagnosis.mesh_error.numerical_checks import NumericalChecks, change_of
+from limbcli.effects.crop import LIMB_POSITION
 from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.errors import LimbError
@@ -25,7 +26,6 @@ from limbcli.results import read_result
 _SAFETY = 1.5
 # Smallest mesh error of ln force; usual one of an uncorrected mesh with edges of _USUAL_EDGE mm.
 _LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
-_FREED = 0.5  # position of the limb between a fixed (0) and a free (1) cut
 _HELD = 0.5  # position of the limb between a free (0) and a held (1) far side, of which nothing is known
 _UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is not corrected
 
@@ -61,7 +61,7 @@ def corrected(
     found = _by_own_mesh(checks, several) if solves else None
     if found is None:
         found = _usual(checks, sorted({*freed, *held}) or [several[0]])
-    for changed, position in ((freed, _FREED), (held, _HELD)):
+    for changed, position in ((freed, LIMB_POSITION), (held, _HELD)):
         if changed:  # this fraction of the way to the changed curves
             known = np.array(sorted(changed))
             nearest = [float(known[np.abs(bend(known) - bend(m)).argmin()]) for m in found.m]

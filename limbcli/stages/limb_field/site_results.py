@@ -1,6 +1,8 @@
 """The readings of a case's sites: from the diagnosis where it named an effect, else from the fit; and maps.
 
-f_kappa of a diagnosis is not taken: its interval is hardly narrower than its prior.
+f_kappa of a diagnosis is not taken: its interval is hardly narrower than its prior. A site's model is held at
+its cuts, a limb gives way beyond them. A diagnosis is set half-way between held and free cuts; what a fit
+finds is moved half-way to what it would find with free ones.
 """
 
 from __future__ import annotations
@@ -13,6 +15,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects import EFFECTS
+from limbcli.effects.crop import LIMB_POSITION
 from limbcli.errors import FitError, MeasurementError
 from limbcli.errors.problems import raise_errors
 from limbcli.measurement.elastography import check_width, map_file, read_map
@@ -25,7 +28,7 @@ from limbcli.site_model.site_levels import levels_of, maps_of
 from limbcli.stiffness_field import Interval, MapReading, SiteReading, map_reading, region_below
 
 _KEYS = {"c_kpa": "c", "m": "m", "f_kappa": "f_kappa"}
-_OF_FIT = (*_KEYS, "interval_95", "correlation")  # what the readings are made from
+_OF_FIT = (*_KEYS, "interval_95", "correlation", "boundary_check/cut_free")  # what the readings are made from
 _OF_DIAGNOSIS = ("added", "shrink")
 _MISREAD = {each.name for each in EFFECTS if each.kind == "swe"}  # effects by which speeds are misread
 _MOST_CORRELATED = 0.98
@@ -122,15 +125,22 @@ Reading = tuple[dict[str, Interval], dict[tuple[str, str], float], str]
 def of_fit(data: Mapping[str, Any]) -> Reading:
     """c, m and f_kappa of fit.json with their intervals; correlations of their errors; source in words."""
     intervals = data["interval_95"]
+    freed = (data.get("boundary_check") or {}).get("cut_free", {})
     values = {}
     for key, name in _KEYS.items():
         low, high = intervals.get(key) or (None, None)
-        values[name] = _interval(key, float(data[key]), low, high)
+        ratio = (float(freed[key]) / float(data[key])) ** LIMB_POSITION if key in freed else 1.0
+        moved = (None if each is None else ratio * float(each) for each in (low, high))
+        values[name] = _interval(key, ratio * float(data[key]), *moved)
     rho = data.get("correlation") or {}
     pairs = {("c", "f_kappa"): "c,f_kappa", ("c", "m"): "c,m", ("m", "f_kappa"): "f_kappa,m"}
     correlation = {pair: float(rho[key]) for pair, key in pairs.items() if rho.get(key) is not None}
     # A correlation of 1 would make two readings one.
-    return values, {pair: _MOST_CORRELATED * each for pair, each in correlation.items()}, "fit"
+    return (
+        values,
+        {pair: _MOST_CORRELATED * each for pair, each in correlation.items()},
+        ("fit, half-way to free cuts" if set(freed) & set(_KEYS) else "fit"),
+    )
 
 
 def of_diagnosis(data: Mapping[str, Any]) -> Reading:

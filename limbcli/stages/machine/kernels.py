@@ -82,7 +82,7 @@ def mesher() -> None:
     from limbcli.meshing.crop import crop_planes
     from limbcli.meshing.domain import make_domain
     from limbcli.meshing.mending import mend
-    from limbcli.meshing.probe import ProbeShape
+    from limbcli.meshing.probe import PlacedProbe, ProbeShape
     from limbcli.meshing.remesh import Sizes
     from limbcli.meshing.site_mesher import mesh_volume
     from limbcli.meshing.surfaces import Triangles
@@ -94,7 +94,8 @@ def mesher() -> None:
 
     limb = mend(cylinder(_RADIUS, 90.0), [cylinder(10.0, 100.0)])
     probe = ProbeShape(30.0, 10.0, 2.0)
-    mesh_volume(make_domain(limb, crop_planes(limb, probe, 15.0), spacing=3.0), probe, Sizes(6.0, 12.0))
+    domain = make_domain(limb, crop_planes(limb, probe, 15.0), spacing=3.0)
+    mesh_volume(domain, (PlacedProbe(probe),), Sizes(6.0, 12.0))
 
 
 # The parts to compile; the first takes as long as the others together.
