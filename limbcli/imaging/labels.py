@@ -56,18 +56,6 @@ def write_labels(path: Path, labels: Volume) -> None:
             whole.unlink(missing_ok=True)
 
 
-def read_labels(path: Path) -> Volume:
-    """Read a label map in our numbers from NIfTI, in patient LPS.
-
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, is not three-dimensional, lacks its position in the patient frame, or
-        contains values other than 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
-    """
-    return checked_labels(read_nifti_labels(path)[0], path)
-
-
 def read_nifti_labels(path: Path) -> tuple[Volume, dict[int, str]]:
     """Read a label map in any numbers from NIfTI, in patient LPS, and the names that it gives them.
 

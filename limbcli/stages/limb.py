@@ -201,7 +201,7 @@ def _field(
     """The stiffness field through the case's sites; None if c is given by hand or no site says anything."""
     field = None
     if options.c_kpa is None:
-        found = case_field(case, chain, skin, list(bones.values()), frame.axis, writer=writer)
+        found = case_field(case, chain, skin, list(bones.values()), frame.axis, writer)
         field = found if found.results.sites or found.results.maps else None
     wrong = [k for k in options.draws if field is None or not 0 <= k < N_DRAWS]
     if wrong:

@@ -14,7 +14,6 @@ from limbcli.stiffness_field.field import (
     HypothesisGrid,
     PointValues,
     StiffnessField,
-    prior_of,
     stiffness_field,
 )
 from limbcli.stiffness_field.held_out import contradictions, held_out
@@ -37,7 +36,6 @@ __all__ = [
     "held_out",
     "limb_coordinates",
     "map_reading",
-    "prior_of",
     "region_below",
     "stiffness_field",
     "write_draws",
