@@ -16,34 +16,26 @@ from limbcli.reporting.reportlet import (
     Picture,
     Reportlet,
     pictures_of,
-    placeholder,
     table,
     worst_mood,
 )
+from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.reporting.sections.parameters import estimates_table
 from limbcli.results import StageResult
 
-TITLE = "In which state is the tissue least stiff, and in which is it unloaded?"
 _WAYS = ("along", "around")
 
 
-def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Speed at rest over stretch, the states' stretches and the common law; None if it was not fitted."""
-    outcome = page.outcomes.maybe("fit-states", site.name)
-    if outcome is None:
-        return None
-    key = f"fit-states-{site.name}"
-    result = outcome.usable
-    if result is None:
-        return placeholder(key, TITLE, outcome)
+@of_stage(
+    "fit-states", "fit-states", "In which state is the tissue least stiff, and in which is it unloaded?"
+)
+def states(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet:
+    """Speed at rest over stretch, the states' stretches and the common law."""
     data = result.data
     met = agreement_view(data)
     determined = not data.get("undetermined")
     return Reportlet(
-        key,
-        TITLE,
-        worst_mood(met.mood, "fine" if determined and not result.warnings else "warning"),
-        site.name,
+        mood=worst_mood(met.mood, "fine" if determined and not result.warnings else "warning"),
         pictures=_pictures(result, site.name),
         tables=(_parameters(data), _states(data)),
         look_for="states on both sides of the lowest point, a curve through all of them, and one law "
