@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
@@ -33,7 +32,6 @@ def mesh_picture(
     sides : sides of the patient towards which x and y point
     """
     figure = Figure(figsize=(10, 8), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
     draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth, sides=sides)
     draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth, sides=sides)

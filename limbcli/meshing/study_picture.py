@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from limbcli.drawing import put_title, save_figure
@@ -27,7 +26,6 @@ def study_picture(
     sizes, margins : (mm, N) pairs; used : (size, margin) of the model itself
     """
     figure = Figure(figsize=(11, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     _curve(left, sizes, used[0], "edge length under the probe [mm]", depth, (extrapolation.limit,))
     left.axhline(extrapolation.limit, color="#777777", linestyle="--", linewidth=1)

@@ -3,6 +3,7 @@ linear ones."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -101,6 +102,15 @@ def cut_triangles(points: Array, triangles: IntArray) -> tuple[IntArray, Array]:
 def _side(points: Array) -> Array:
     """Distance (n,) from the plane; no point lies on it."""
     return np.where(points[:, 1] == 0.0, 1e-9, points[:, 1])
+
+
+def outline(points: Array, facets: Mapping[str, IntArray], values: Array) -> Array:
+    """Where facets, by kind, meet the plane: segments (n, 2, 2) in x and z of nodal positions `values`."""
+    lines = [np.zeros((0, 2, 2))]
+    for kind, each in facets.items():
+        ends, weight = cut_triangles(points, linear_triangles(kind, each))
+        lines.append(on_segments(ends, weight, values)[:, :, [0, 2]])
+    return np.concatenate(lines)
 
 
 def on_segments(ends: IntArray, weight: Array, values: Array) -> Array:
