@@ -17,7 +17,7 @@ from limbcli.api.call import (
     maybe_path,
     public,
 )
-from limbcli.api.stage_result import Result, one, whole_paths
+from limbcli.api.stage_result import Result, one
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
@@ -67,9 +67,6 @@ class CaseResult(Tabular):
     expected: tuple[str, ...] = ()
     report: Path | None = None
 
-    def __post_init__(self) -> None:
-        whole_paths(self)
-
     @property
     def ok(self) -> bool:
         """Whether nothing failed."""
@@ -107,9 +104,6 @@ class BatchResult(Tabular):
 
     cases: tuple[CaseResult, ...]
     index: Path | None = None
-
-    def __post_init__(self) -> None:
-        whole_paths(self)
 
     @property
     def ok(self) -> bool:
@@ -229,8 +223,7 @@ def batch(
     ToolError
         If Dask is not installed, no scheduler answers, or the connection to it is lost.
     """
-    from limbcli.stages.batch_cases import n_processes, one_case, output_folders
-    from limbcli.stages.batch_cluster import together
+    from limbcli.stages.batch_cases import n_processes, outcomes, output_folders
     from limbcli.stages.batching.outcome import BatchOptions
 
     folders = _folders(cases)
@@ -242,16 +235,10 @@ def batch(
     with foreseen():
         pairs = output_folders(folders, maybe_path(out, "out"))
         n_jobs = n_processes(jobs, scheduler, len(pairs))
-        if scheduler is None and n_jobs == 1:
-            outcomes = [one_case(*pair, options, wait=wait, progress=heard) for pair in pairs]
-        else:
-            absolute = [(case.absolute(), target.absolute()) for case, target in pairs]
-            outcomes = together(
-                absolute, options, scheduler=scheduler, jobs=n_jobs, wait=wait, progress=heard
-            )
+        run = outcomes(pairs, options, jobs=n_jobs, scheduler=scheduler, wait=wait, progress=heard)
         found = tuple(
             _case_result(*pair, outcome, expect=expect, heard=heard)
-            for pair, outcome in zip(pairs, outcomes, strict=True)
+            for pair, outcome in zip(pairs, list(run), strict=True)
         )
         together_in = default_out(folders[0]).parent if out is None else folder_of(out)
         return BatchResult(found, _index(together_in, options.templates, heard) if len(pairs) > 1 else None)

@@ -18,7 +18,7 @@ from limbcli.api.call import (
     names_of,
     public,
 )
-from limbcli.api.stage_result import Result, each_site, whole_paths
+from limbcli.api.stage_result import Result, each_site
 from limbcli.api.tables import Tabular, plain_rows, read_columns
 from limbcli.errors.problems import Problem
 from limbcli.options import CASE, OUT, PROGRESS, SITES, WAIT, Option
@@ -42,9 +42,6 @@ class CheckResult(Tabular):
     folder: Path
     looked_at: tuple[str, ...]
     problems: tuple[Problem, ...]
-
-    def __post_init__(self) -> None:
-        whole_paths(self)
 
     @property
     def ok(self) -> bool:

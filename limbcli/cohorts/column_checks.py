@@ -192,8 +192,7 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     found += listed(
         ~explained & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
         lambda k: (
-            f"stiffness_mpa_per_mm is {table.slope[k]:g} but pressure over "
-            f"displacement is {secant[k]:.3g}: "
+            f"stiffness_mpa_per_mm is {table.slope[k]:g} but pressure over displacement is {secant[k]:.3g}: "
             "its unit looks wrong"
         ),
         "give the slope of pressure (MPa) over displacement (mm)",
@@ -285,8 +284,7 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         np.nan_to_num(girth, nan=np.inf) <= np.pi * whole,
         lambda k: (
             f"a circumference of {girth[k]:g} mm is smaller than the layers allow: a limb {whole[k]:g} mm "
-            f"thick "
-            f"from skin to bone measures more than {np.pi * whole[k]:.0f} mm round"
+            f"thick from skin to bone measures more than {np.pi * whole[k]:.0f} mm round"
         ),
         "give the limb's circumference at the site in mm, or leave the cell empty",
     )

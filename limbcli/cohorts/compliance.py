@@ -175,9 +175,8 @@ def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: 
     entry["n_repeated"] = len(repeated)
     if len(repeated) < _PAIRS:
         entry["reason"] = (
-            f"{len(repeated)} sites of a person were measured more than once; trials of the same person "
-            f"and site "
-            "are needed to assess repeatability"
+            f"{len(repeated)} sites of a person were measured more than once; trials of the same person and "
+            "site are needed to assess repeatability"
         )
         return entry
     free = sum(len(each) - 1 for each in repeated)

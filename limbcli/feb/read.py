@@ -203,9 +203,7 @@ def _domain(
     name, material = tag.attribute("name"), tag.attribute("mat")
     block = next((each for each in mesh.mesh.blocks if each.name == name), None)
     if block is None:
-        raise tag.problem(
-            f"there is no <Elements> section {name!r}", fix="add it, or correct the name", follows=True
-        )
+        raise tag.missing(f"<Elements> section {name!r}")
     if tag.name == "SolidDomain" and not block.is_solid:
         raise tag.problem(f"{name!r} holds {block.kind} shells", fix="use <ShellDomain>")
     if material in bodies:  # rigid: neither formulation nor integration matters
@@ -213,9 +211,7 @@ def _domain(
         bodies[material] = replace(bodies[material], blocks=(*bodies[material].blocks, name))
         return []
     if material not in materials.materials:
-        raise tag.problem(
-            f"there is no material {material!r}", fix="add it, or correct the name", follows=True
-        )
+        raise tag.missing(f"material {material!r}")
     if tag.name == "ShellDomain":
         raise tag.problem("shells of deformable material are not supported", fix="use solid elements")
     _refuse_other_maps(tag, name, materials.materials[material])

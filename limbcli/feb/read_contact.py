@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Literal, cast
 
 from limbcli.feb.read_loads import Scene, flag
-from limbcli.feb.read_mesh import refuse_repeated
+from limbcli.feb.read_mesh import ADD_TO_MESH, refuse_repeated
 from limbcli.feb.xml import Tag
 from limbcli.model.bodies import Contact
 
@@ -48,16 +48,13 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
     )
     pair = tag.attribute("surface_pair")
     if pair not in scene.mesh.pairs:
-        raise tag.problem(
-            f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name", follows=True
-        )
+        raise tag.missing(f"surface pair {pair!r}", ADD_TO_MESH)
     primary, secondary = scene.mesh.pairs[pair]
     numbers, curves = dict(CONTACT_DEFAULTS), dict[str, str | None]()
     for name in CONTACT_DEFAULTS:
         child = tag.child(name)
         if child is not None and name in ("penalty", "gaptol"):
-            child.allow(attributes=("lc",))
-            numbers[name], curves[name] = child.number(attributes=("lc",)), scene.curve(child)
+            numbers[name], curves[name] = scene.number(child)
         elif child is not None:
             numbers[name] = child.number()
     return Contact(

@@ -99,6 +99,10 @@ class Tag:
             **more,
         )
 
+    def missing(self, what: str, fix: str = "add it, or correct the name") -> CaseError:
+        """The error to raise where what this tag names is nowhere; that may itself have been refused."""
+        return self.problem(f"there is no {what}", fix=fix, follows=True)
+
     def goes_on(self) -> AbstractContextManager[None]:
         """Collects what is refused within, or lets it through if nothing is collected."""
         return self.notes.goes_on() if self.notes is not None else nullcontext()
