@@ -20,7 +20,7 @@ from limbcli.api.call import (
 )
 from limbcli.api.stage_result import Result, each_site
 from limbcli.api.tables import Tabular, plain_rows, read_columns
-from limbcli.errors.problems import Problem
+from limbcli.errors.problems import Problem, errors_of
 from limbcli.options import CASE, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult
 
@@ -46,7 +46,7 @@ class CheckResult(Tabular):
     @property
     def ok(self) -> bool:
         """Whether there is no error."""
-        return all(each.severity != "error" for each in self.problems)
+        return not errors_of(self.problems)
 
     def __str__(self) -> str:
         problems = (

@@ -62,10 +62,9 @@ class Case:
         )
         probe = f"{self.probe.name}, {self.probe.length:g} x {self.probe.width:g} mm"
         return (
-            f"<div><b>{escape(self.subject)}</b>, {self.limb} limb: {escape(str(self.folder))}"
-            f"<div>probe: {escape(probe)}</div>"
-            "<table><tr><th>site</th><th>place (patient LPS, mm)</th><th>long axis</th><th>levels</th></tr>"
-            f"{rows}</table></div>"
+            f"<div><b>{escape(self.subject)}</b>, {self.limb} limb: {escape(str(self.folder))}<div>probe: "
+            f"{escape(probe)}</div><table><tr><th>site</th><th>place (patient LPS, mm)</th><th>long "
+            f"axis</th><th>levels</th></tr>{rows}</table></div>"
         )
 
     @property
@@ -146,7 +145,7 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     )
     sites, of_sites = _read_sites(raw.get("site"), files, imaging)
     problems += of_sites + found + read_socket(raw, files)[1]
-    if any(each.severity == "error" for each in problems):
+    if errors_of(problems):
         return None, problems
     return _assemble(folder, raw, parts, imaging, sites), problems
 

@@ -25,7 +25,7 @@ from limbcli.cohorts.table import (
     read_cohort,
 )
 from limbcli.cohorts.unit_guess import common_factors, disagreeing, pressure_units, unusual_face
-from limbcli.errors.problems import Problem
+from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
 from limbcli.measurement.number_table import RawTable, problem
 from limbcli.model import Array
@@ -53,7 +53,7 @@ _R2_ROUNDING = 0.01
 def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     """The complete rows of a table, if they are usable, and every problem."""
     raw, problems = read_cohort(path)
-    if raw is None or any(each.severity == "error" for each in problems):
+    if raw is None or errors_of(problems):
         return None, problems
     columns, lines = raw.numbers, np.array(raw.lines)
     complete = np.all([np.isfinite(columns[name]) for name in REQUIRED if name != "skin_mm"], axis=0)
@@ -66,10 +66,10 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
         problems.append(problem(words, path, "fill the empty cells, or ignore this", warning=True))
     if not complete.any():
         problems.append(problem("no row is complete", path, "fill the empty cells"))
-    if any(each.severity == "error" for each in problems):
+    if errors_of(problems):
         return None, problems
     problems += _impossible(raw, complete, path)
-    if any(each.severity == "error" for each in problems):
+    if errors_of(problems):
         return None, problems
     table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
     if face := unusual_face(raw.numbers, _table(raw, path).face, complete):
@@ -77,7 +77,7 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
         problems.append(problem(face, path, fix, warning=True))
     problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_given(table)
     problems += _grown(table, layer_noise(table.shortened))
-    return (None if any(each.severity == "error" for each in problems) else table), problems
+    return (None if errors_of(problems) else table), problems
 
 
 def _at(lines: Array) -> str:

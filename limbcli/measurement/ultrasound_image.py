@@ -138,8 +138,7 @@ class UltrasoundImage:
                 f"the box {list(box)} lies in none of the image's calibrated regions ({places})",
                 where=self.where,
                 fix="correct box_pixels, or state the image region that contains it: image_pixels = [left, "
-                "top, "
-                "right, bottom], its top the probe face",
+                "top, right, bottom], its top the probe face",
             )
         return self._from_the_face(max(holding, key=_area))
 

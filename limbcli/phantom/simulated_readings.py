@@ -125,16 +125,11 @@ def levels_rows(readings: Readings) -> tuple[list[str], list[list[str]]]:
         row = [f"{readings.force[k]:.6g}", f"{readings.depth[k]:.7g}", f"{found.mean_m_per_s:.6g}"]
         row += [f"{found.sd_m_per_s:.4g}", str(found.n_pixels), "load", f"{readings.hold:g}"]
         rows.append(row)
-    if readings.skin_bone is not None:
-        header.append("skin_bone_mm")
-        for k, row in enumerate(rows):
-            row.append(f"{readings.skin_bone[k]:.6g}")
-    if readings.travel is not None:
-        header.append("probe_travel_mm")
-        for k, row in enumerate(rows):
-            row.append(f"{readings.travel[k]:.6g}")
-    if readings.layers is not None:
-        header += LAYER_COLUMNS[: readings.layers.shape[1]]
-        for row, each in zip(rows, readings.layers, strict=True):
-            row += [f"{value:.6g}" for value in each]
+    layers = () if readings.layers is None else zip(LAYER_COLUMNS, readings.layers.T, strict=False)
+    more = {"skin_bone_mm": readings.skin_bone, "probe_travel_mm": readings.travel, **dict(layers)}
+    for name, values in more.items():
+        if values is not None:
+            header.append(name)
+            for row, value in zip(rows, values, strict=True):
+                row.append(f"{value:.6g}")
     return header, rows

@@ -137,9 +137,8 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
     if table["box_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
-            "the top of the B-mode images is taken as the probe face: if a frame or text is above "
-            "it, state where the ultrasound image lies with box_pixels of [site.b_mode]; the distances to "
-            "bone and "
+            "the top of the B-mode images is taken as the probe face: if a frame or text is above it, state "
+            "where the ultrasound image lies with box_pixels of [site.b_mode]; the distances to bone and "
             "layers depend on it, the depth of indentation does not"
         )
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])

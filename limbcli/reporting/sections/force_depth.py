@@ -50,9 +50,8 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
         pictures=(picture,),
         look_for="the solid curve passes through the points and the differences scatter around zero, inside "
         "the grey band: one standard deviation of the noise that the fit counted, that of the depth included",
-        bad="differences that drift slowly from one side to the other (the model lacks something), "
-        "a curve that fits at one end only, or a start curve that already fits (the data are not "
-        "informative)",
+        bad="differences that drift slowly from one side to the other (the model lacks something), a curve "
+        "that fits at one end only, or a start curve that already fits (the data are not informative)",
         notes=tuple(notes) if not gap else (_NO_FIT, *gap.notes),
         warned=warned,
         failure=gap.failure if gap else None,

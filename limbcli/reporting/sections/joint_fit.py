@@ -65,10 +65,9 @@ def _checks(data: Mapping[str, Any]) -> list[PageTable]:
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
     notes = [
-        f"Fitted to the depths at the measured forces and the logarithms of all levels' speeds, each "
-        f"weighted by its stated noise: chi-square {quantity(data.get('chi_square'), '')} for "
-        f"{data.get('n_freedom', DASH)} "
-        "degrees of freedom."
+        "Fitted to the depths at the measured forces and the logarithms of all levels' speeds, each weighted "
+        f"by its stated noise: chi-square {quantity(data.get('chi_square'), '')} for "
+        f"{data.get('n_freedom', DASH)} degrees of freedom."
     ]
     if data.get("mu_along_kpa") is not None:
         notes.append(

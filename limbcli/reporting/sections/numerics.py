@@ -60,8 +60,7 @@ def mesh_study(result: StageResult, _: ReportData, site: SiteMaterial) -> Report
         look_for="curves that level off towards small elements and wide margins, and a numerical error well "
         "below the noise of the measurement",
         bad="a force that still moves at the mesh in use: that share of it is numerical error, and no "
-        "parameter "
-        "fitted with this mesh is more accurate than that",
+        "parameter fitted with this mesh is more accurate than that",
         notes=result.summary,
         warned=result.warnings,
     )

@@ -16,9 +16,8 @@ _CAPTION = (
     "each outline follows the edge it belongs to in every slice, and the dark bone cortex lies inside the "
     "bone outline",
     "an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or encloses a "
-    "vein; "
-    "a bone that is missing in some slices. Correct the label map in 3D Slicer and enter it as “labels” "
-    "in case.toml",
+    "vein; a bone that is missing in some slices. Correct the label map in 3D Slicer and enter it as "
+    "“labels” in case.toml",
 )
 _CAPTION_ASSUMED = (
     "the beam ends on the bone, and skin and bone lie as they do on the B-mode image",

@@ -107,14 +107,12 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         if found is not None:
             notes.append(
                 f"The tissue is unloaded {way} the limb at a stretch of {found.get('headline')}, on the "
-                "scale of the case. This is not where the wave speed is lowest: the "
-                "speed also depends on "
+                "scale of the case. This is not where the wave speed is lowest: the speed also depends on "
                 "the direction of stretch."
             )
     for way, each in (data.get("taken_as_unloaded") or {}).items():
         notes.append(
-            f"{way.capitalize()} the limb all states have the same stretch "
-            f"({quantity(each, '')}); the "
+            f"{way.capitalize()} the limb all states have the same stretch ({quantity(each, '')}); the "
             "tissue is taken as unloaded there."
         )
     notes.append(
@@ -139,12 +137,10 @@ def _by_states(way: str, found: Mapping[str, Any]) -> str:
         return f"The measured speeds alone show no upward curvature {way} the limb within their noise."
     if not found.get("told"):
         return (
-            f"A parabola through the measured speeds alone has its minimum at "
-            f"{found['stretch']:.2f} {way} the "
-            "limb, but its curvature is within the noise."
+            f"A parabola through the measured speeds alone has its minimum at {found['stretch']:.2f} {way} "
+            "the limb, but its curvature is within the noise."
         )
     return (
-        f"A parabola through the measured speeds alone has its minimum at {found['stretch']:.2f} "
-        f"{way} the limb "
-        f"(95 %: {found['low']:.2f} to {found['high']:.2f})."
+        f"A parabola through the measured speeds alone has its minimum at {found['stretch']:.2f} {way} the "
+        f"limb (95 %: {found['low']:.2f} to {found['high']:.2f})."
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from limbcli.case import Site
 from limbcli.case.noting import unnoted
 from limbcli.drawing import save_figure
 from limbcli.feb.outline import Outline
+from limbcli.files.plain_text import write_rows
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array
 from limbcli.results import StageWriter
@@ -129,10 +129,7 @@ def force_depth_rows(simulation: Simulation, body: str) -> Array:
 
 
 def write_curve(path: Path, curve: Array) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
-        table.writerows([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist())
+    write_rows(path, COLUMNS, ([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist()))
 
 
 def _levels(curve: Array, must_points: tuple[float, ...]) -> list[dict[str, float]]:

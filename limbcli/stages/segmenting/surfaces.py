@@ -184,7 +184,7 @@ def without_fragments(
     """
     body, others = largest_and_fragments(skin)
     for each in others:
-        inside = [name for name, bone in bones.items() if lies_within(each, bone)]
+        inside = [name for name, bone in bones.items() if lies_within(bone, each)]
         if inside:
             raise CaseError(
                 f"{' and '.join(inside)} lies in {_piece(each)} of the skin's file, which is not its largest",
