@@ -283,10 +283,5 @@ def _distal_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     return np.asarray(height < min(bones))
 
 
-_PLACED = dict(
-    zip(
-        PATCHES,
-        (_fibular_head, _patellar_tendon, _tibial_end, _tibial_crest, _popliteal, _distal_end),
-        strict=True,
-    )
-)
+_PLACES = (_fibular_head, _patellar_tendon, _tibial_end, _tibial_crest, _popliteal, _distal_end)
+_PLACED = dict(zip(PATCHES, _PLACES, strict=True))
