@@ -7,16 +7,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from limbcli.api.call import (
-    CaseLike,
-    Heard,
-    PathLike,
-    folder_of,
-    foreseen,
-    listening,
-    maybe_path,
-    public,
-)
+from limbcli.api.call import CaseLike, Heard, PathLike, folder_of, foreseen, listening, maybe_path, public
 from limbcli.api.stage_result import Result, one
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
@@ -184,8 +175,7 @@ def batch(
     templates: Annotated[PathLike | None, TEMPLATES] = None,
     force: Annotated[bool, Option("Redo every stage, even where nothing changed.")] = False,
     defaults: Annotated[
-        bool,
-        Option("Use default options instead of those that stages were last called with by hand."),
+        bool, Option("Use default options instead of those that stages were last called with by hand.")
     ] = False,
     diagnose: Annotated[bool, Option("Also diagnose every place (minutes each), once it is fitted.")] = False,
     expect: Annotated[
@@ -205,8 +195,7 @@ def batch(
         ),
     ] = None,
     scheduler: Annotated[
-        str | None,
-        Option("Run on an existing Dask cluster, such as tcp://10.0.0.5:8786.", metavar="ADDRESS"),
+        str | None, Option("Run on an existing Dask cluster, such as tcp://10.0.0.5:8786.", metavar="ADDRESS")
     ] = None,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,

@@ -296,14 +296,9 @@ def _read_site(
 
 
 def _make_site(
-    values: Mapping[str, Any],
-    noise: Mapping[str, Any],
-    paths: Mapping[str, Path | None],
-    levels: Path,
-    instruments: Mapping[str, Mapping[str, Any]],
-    layers: Mapping[str, Mapping[str, Any]],
-    fibres: Fibres,
-) -> Site:
+    values: Mapping[str, Any], noise: Mapping[str, Any], paths: Mapping[str, Path | None], levels: Path,
+    instruments: Mapping[str, Mapping[str, Any]], layers: Mapping[str, Mapping[str, Any]], fibres: Fibres,
+) -> Site:  # fmt: skip
     position, long_axis = values["position_mm"], values["long_axis"]
     return Site(
         name=values["name"],

@@ -19,17 +19,9 @@ if TYPE_CHECKING:
 
 
 def batch_cases(
-    cases: list[Path],
-    *,
-    out: Path | None,
-    expect: bool,
-    jobs: int | None,
-    scheduler: str | None,
-    wait: bool,
-    json: bool,
-    progress: Progress,
-    **others: Any,
-) -> None:
+    cases: list[Path], *, out: Path | None, expect: bool, jobs: int | None, scheduler: str | None, wait: bool,
+    json: bool, progress: Progress, **others: Any,
+) -> None:  # fmt: skip
     """Run all stages of one or more cases, from images to report; only what changed is redone.
 
     A stage last called by hand with options is called with them again, with a note.

@@ -23,13 +23,7 @@ from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_distributed_loads import read_distributed_loads
 from limbcli.feb.read_material import MaterialSection, read_materials
-from limbcli.feb.read_mesh import (
-    DEFAULT_RULES,
-    MeshSection,
-    read_mesh,
-    read_mesh_data,
-    refuse_repeated,
-)
+from limbcli.feb.read_mesh import DEFAULT_RULES, MeshSection, read_mesh, read_mesh_data, refuse_repeated
 from limbcli.feb.read_output import read_output
 from limbcli.feb.rigid_centres import with_centres
 from limbcli.feb.units import scaled, units_scale

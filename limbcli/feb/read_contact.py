@@ -11,14 +11,9 @@ from limbcli.model.bodies import Contact
 
 # FEBio's defaults of sliding-elastic for missing tags (FESlidingElasticInterface).
 CONTACT_DEFAULTS = {
-    "penalty": 1.0,
-    "tolerance": 0.1,
-    "gaptol": 0.0,
-    "search_radius": 1.0,
-    "fric_coeff": 0.0,
-    "knmult": 0.0,
+    "penalty": 1.0, "tolerance": 0.1, "gaptol": 0.0, "search_radius": 1.0, "fric_coeff": 0.0, "knmult": 0.0,
     "search_tol": 0.01,
-}
+}  # fmt: skip
 CONTACT_MORE = (
     "seg_up", "tension", "minaug", "maxaug", "node_reloc", "smooth_aug", "flip_primary", "flip_secondary",
     "shell_bottom_primary", "shell_bottom_secondary", "offset",

@@ -160,12 +160,8 @@ def _refuse_flag(tag: Tag, name: str, why: str) -> None:
 
 
 _READERS: dict[tuple[str, str], Callable[[Tag, Scene], list[Load]]] = {
-    ("surface_load", "pressure"): _pressure,
-    ("surface_load", "traction"): _traction,
-    ("surface_load", "force"): _force,
-    ("nodal_load", "nodal_force"): _nodal_force,
-    ("nodal_load", "nodal_load"): _nodal_load,
-    ("body_load", "const"): _const,
-    ("body_load", "non-const"): _const,
-    ("body_load", "body force"): _body_force,
-}
+    ("surface_load", "pressure"): _pressure, ("surface_load", "traction"): _traction,
+    ("surface_load", "force"): _force, ("nodal_load", "nodal_force"): _nodal_force,
+    ("nodal_load", "nodal_load"): _nodal_load, ("body_load", "const"): _const,
+    ("body_load", "non-const"): _const, ("body_load", "body force"): _body_force,
+}  # fmt: skip

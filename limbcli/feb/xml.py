@@ -26,29 +26,11 @@ LARGEST_ID = 50_000_000  # largest accepted id of a node or an element
 # The sections of a model file (FEBio 4.11, FEBioImport::BuildFileSectionMap)
 SECTIONS = frozenset(
     [
-        "Module",
-        "Globals",
-        "Output",
-        "Control",
-        "Material",
-        "Mesh",
-        "MeshDomains",
-        "Include",
-        "Initial",
-        "Boundary",
-        "Loads",
-        "Contact",
-        "Discrete",
-        "Constraints",
-        "Code",
-        "MeshData",
-        "LoadData",
-        "Rigid",
-        "Step",
-        "MeshAdaptor",
-        "Geometry",
+        "Module", "Globals", "Output", "Control", "Material", "Mesh", "MeshDomains", "Include", "Initial",
+        "Boundary", "Loads", "Contact", "Discrete", "Constraints", "Code", "MeshData", "LoadData", "Rigid",
+        "Step", "MeshAdaptor", "Geometry",
     ]
-)
+)  # fmt: skip
 _GZIP_MAGIC = b"\x1f\x8b"
 _LARGEST = 500_000_000  # largest accepted size of a model's text (bytes)
 _PLAIN_NAME = re.compile(r"\w[\w .+()-]{0,119}", re.ASCII)

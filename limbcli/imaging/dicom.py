@@ -198,14 +198,8 @@ def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str,
 def _kind(dataset: Dataset) -> tuple[str, ...]:
     """Properties that images of one series share, regardless of their UIDs."""
     names = (
-        "SeriesNumber",
-        "Modality",
-        "Rows",
-        "Columns",
-        "EchoTime",
-        "ImageOrientationPatient",
-        "PixelSpacing",
-    )
+        "SeriesNumber", "Modality", "Rows", "Columns", "EchoTime", "ImageOrientationPatient", "PixelSpacing",
+    )  # fmt: skip
     return tuple(str(dataset.get(name, "")) for name in names)
 
 

@@ -15,13 +15,7 @@ from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
-from limbcli.imaging.nifti import (
-    NIFTI_DAMAGED,
-    label_names_of,
-    one_geometry,
-    open_nifti,
-    require_placement,
-)
+from limbcli.imaging.nifti import NIFTI_DAMAGED, label_names_of, one_geometry, open_nifti, require_placement
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.signed_distance import filled_by_slice, largest
 from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed

@@ -32,21 +32,9 @@ from limbcli.measurement.speed_noise import check_speed_noise
 from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
 
 __all__ = [
-    "OPTIONAL",
-    "REQUIRED",
-    "TEXTS",
-    "TRACE_OPTIONAL",
-    "TRACE_REQUIRED",
-    "LayerNoise",
-    "Levels",
-    "Trace",
-    "check_levels",
-    "check_trace",
-    "check_values",
-    "level_warnings",
-    "read_levels",
-    "read_trace",
-]
+    "OPTIONAL", "REQUIRED", "TEXTS", "TRACE_OPTIONAL", "TRACE_REQUIRED", "LayerNoise", "Levels", "Trace",
+    "check_levels", "check_trace", "check_values", "level_warnings", "read_levels", "read_trace",
+]  # fmt: skip
 
 REQUIRED = ("force_n", "depth_mm")
 OPTIONAL = (

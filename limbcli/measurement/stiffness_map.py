@@ -36,14 +36,9 @@ class Stiffnesses:
 
 
 def stiffness_at(
-    swe: SweMap,
-    points: Array,
-    *,
-    density_kg_per_m3: float = 1000.0,
-    smoothing: float = SMOOTHING,
-    fade: float = FADE,
-    half_elevation: float = np.inf,
-) -> Stiffnesses:
+    swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0, smoothing: float = SMOOTHING,
+    fade: float = FADE, half_elevation: float = np.inf,
+) -> Stiffnesses:  # fmt: skip
     """c at points of a site's model.
 
     Parameters

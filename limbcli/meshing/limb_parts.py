@@ -120,19 +120,11 @@ class _Leg:
             return None
         height = self.frame.height(bone.points)
         low, high = float(height.min()), float(height.max())
-        return (
-            low if low > self.bottom + AT_CUT_MM else None,
-            high if high < self.top - AT_CUT_MM else None,
-        )
+        return (low if low > self.bottom + AT_CUT_MM else None, high if high < self.top - AT_CUT_MM else None)
 
 
 def limb_parts(
-    frame: LimbFrame,
-    skin: Triangles,
-    bones: Mapping[str, Triangles],
-    *,
-    top: float,
-    bottom: float = -np.inf,
+    frame: LimbFrame, skin: Triangles, bones: Mapping[str, Triangles], *, top: float, bottom: float = -np.inf
 ) -> LimbParts:
     """Patches of the skin and landmarks that this limb's bones define.
 

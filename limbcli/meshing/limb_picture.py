@@ -22,14 +22,9 @@ _SKIN = "#ead8cc"
 
 
 def limb_picture(
-    path: Path,
-    frame: LimbFrame,
-    skin: Triangles,
-    parts: LimbParts,
-    *,
-    sites: Mapping[str, Array] | None = None,
-    title: str,
-) -> None:
+    path: Path, frame: LimbFrame, skin: Triangles, parts: LimbParts, *,
+    sites: Mapping[str, Array] | None = None, title: str,
+) -> None:  # fmt: skip
     """Write PNG and SVG: the limb from the front, its lateral side, the back and its medial side.
 
     Look for patches over their bones; bad is one on the wrong side, or a limb that stands on its head.

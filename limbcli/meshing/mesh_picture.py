@@ -18,15 +18,9 @@ _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 
 
 def mesh_picture(
-    mesh: Mesh,
-    probe: ProbeShape,
-    figures: MeshQuality,
-    path: Path,
-    *,
-    title: str,
-    start_depth: float,
+    mesh: Mesh, probe: ProbeShape, figures: MeshQuality, path: Path, *, title: str, start_depth: float,
     sides: tuple[str, str],
-) -> None:
+) -> None:  # fmt: skip
     """Write PNG and SVG. Look for small cells under the probe and correctly placed bones; spikes are a fault.
 
     sides : sides of the patient towards which x and y point

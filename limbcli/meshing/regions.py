@@ -49,14 +49,9 @@ def reachable(points: Array, faces: IntArray, probe: ProbeShape) -> Array:
 
 
 def assemble(
-    volume: VolumeMesh,
-    layers: IntArray,
-    names: tuple[str, ...],
-    probe: ProbeShape,
-    rigid: ProbeMesh,
-    *,
+    volume: VolumeMesh, layers: IntArray, names: tuple[str, ...], probe: ProbeShape, rigid: ProbeMesh, *,
     element: str,
-) -> Mesh:
+) -> Mesh:  # fmt: skip
     """Tissue and probe as one mesh with its named sets.
 
     layers (n_cells,) gives the index of each cell's block in `names` (such as tissue, fat, skin).

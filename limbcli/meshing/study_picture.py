@@ -12,15 +12,9 @@ from limbcli.meshing.mesh_extrapolation import Extrapolation
 
 
 def study_picture(
-    path: Path,
-    *,
-    sizes: list[tuple[float, float]],
-    margins: list[tuple[float, float]],
-    used: tuple[float, float],
-    extrapolation: Extrapolation,
-    depth: float,
-    title: str,
-) -> None:
+    path: Path, *, sizes: list[tuple[float, float]], margins: list[tuple[float, float]],
+    used: tuple[float, float], extrapolation: Extrapolation, depth: float, title: str,
+) -> None:  # fmt: skip
     """Plot the force (N) at full depth against edge length and against the margin beyond the probe.
 
     sizes, margins : (mm, N) pairs; used : (size, margin) of the model itself
@@ -41,13 +35,9 @@ def study_picture(
 
 
 def _curve(
-    axes: Any,
-    pairs: list[tuple[float, float]],
-    used: float,
-    label: str,
-    depth: float,
+    axes: Any, pairs: list[tuple[float, float]], used: float, label: str, depth: float,
     others: tuple[float, ...] = (0.0,),
-) -> None:
+) -> None:  # fmt: skip
     """others : further forces (N) that the axis must include"""
     x, force = zip(*sorted(pairs), strict=True)
     axes.plot(x, force, "o-", color="#1f4e79")

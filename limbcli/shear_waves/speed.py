@@ -78,14 +78,11 @@ def material_speeds(
 
 
 def wave_speed_m_per_s(
-    deformation_gradient: Array,
-    terms: OgdenTerms,
-    *,
+    deformation_gradient: Array, terms: OgdenTerms, *,
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
-    polarisation: tuple[float, float, float] = (0.0, 0.0, 1.0),
-    density_kg_per_m3: float = 1000.0,
+    polarisation: tuple[float, float, float] = (0.0, 0.0, 1.0), density_kg_per_m3: float = 1000.0,
     mode: Mode = "eigenmode",
-) -> Array:
+) -> Array:  # fmt: skip
     """Ogden family: speed of the shear wave along `direction` with the given `polarisation`.
 
     In the probe's frame the wave runs along x and is polarised along z (the beam). "polarised" is rho0 v^2 =

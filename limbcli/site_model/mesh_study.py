@@ -57,19 +57,11 @@ class Variant:
 
 
 def study_site(
-    case: Case,
-    site: Site,
-    limb: Limb,
-    position: tuple[float, float, float],
-    options: MeshOptions,
-    *,
-    out: Path,
-    inputs: MeshInputs | None = None,
-    force_of: ForceOf | None = None,
-    size_factors: tuple[float, ...] = SIZE_FACTORS,
-    margin_factors: tuple[float, ...] = MARGIN_FACTORS,
+    case: Case, site: Site, limb: Limb, position: tuple[float, float, float], options: MeshOptions, *,
+    out: Path, inputs: MeshInputs | None = None, force_of: ForceOf | None = None,
+    size_factors: tuple[float, ...] = SIZE_FACTORS, margin_factors: tuple[float, ...] = MARGIN_FACTORS,
     progress: Progress = SILENT,
-) -> StageResult:
+) -> StageResult:  # fmt: skip
     """Compute the force at the deepest level for finer and coarser meshes and for smaller and larger models.
 
     All use the same tissue: that of the site's fit if there is one (as locking of linear elements depends on
@@ -146,14 +138,9 @@ def reference_force(model: LimbModel, depth: float, tissue: StudiedTissue = Stud
 
 
 def _report(
-    writer: StageWriter,
-    found: list[Variant],
-    options: MeshOptions,
-    depth: float,
-    tissue: StudiedTissue,
-    *,
+    writer: StageWriter, found: list[Variant], options: MeshOptions, depth: float, tissue: StudiedTissue, *,
     title: str,
-) -> None:
+) -> None:  # fmt: skip
     own = found[0]
     by_size = [own, *(each for each in found if each.varied == "size")]
     by_margin = [own, *(each for each in found if each.varied == "margin")]

@@ -145,13 +145,9 @@ def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
 
 
 def _data(
-    table: CohortTable,
-    family: LayeredFamily,
-    noise: CohortNoise,
-    estimates: list[SiteEstimate],
-    predicted: dict[str, Any],
-    seconds: float,
-) -> dict[str, Any]:
+    table: CohortTable, family: LayeredFamily, noise: CohortNoise, estimates: list[SiteEstimate],
+    predicted: dict[str, Any], seconds: float,
+) -> dict[str, Any]:  # fmt: skip
     rows = row_entries(table, estimates, predicted)
     return {
         "n_rows": len(table),

@@ -59,14 +59,9 @@ class StatesOptions:
 
 
 def fit_states(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    states: StatesOptions | None = None,
-    options: FitOptions | None = None,
-    progress: Progress = SILENT,
-) -> list[StageResult]:
+    case: Case, *, out: Path, sites: list[str] | None = None, states: StatesOptions | None = None,
+    options: FitOptions | None = None, progress: Progress = SILENT,
+) -> list[StageResult]:  # fmt: skip
     """Identify a common law, and a stretch for every state, at each site that has states.
 
     Writes fit-states.json, states.png (speed at rest against stretch), fit-states.png, profiles.png, a table

@@ -20,12 +20,7 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import raise_errors
 from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
-from limbcli.measurement.indentation import (
-    Levels,
-    check_levels,
-    level_warnings,
-    read_levels,
-)
+from limbcli.measurement.indentation import Levels, check_levels, level_warnings, read_levels
 from limbcli.measurement.levels import LAYERS
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
@@ -40,12 +35,7 @@ STAGE = "measure"
 
 
 def measure(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    write: bool = False,
-    progress: Progress = SILENT,
+    case: Case, *, out: Path, sites: list[str] | None = None, write: bool = False, progress: Progress = SILENT
 ) -> list[StageResult]:
     """Read the instruments' files of each site; with `write`, write levels.csv where the case names it.
 

@@ -28,13 +28,7 @@ from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, 
 from limbcli.stages.in_socket.intervals import Pose, drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.stages.in_socket.patch_table import (
-    WHOLE,
-    Interval,
-    patch_masks,
-    patch_rows,
-    write_patches,
-)
+from limbcli.stages.in_socket.patch_table import WHOLE, Interval, patch_masks, patch_rows, write_patches
 from limbcli.stages.in_socket.pictures import pressure_picture
 
 STAGE = "socket"

@@ -36,10 +36,7 @@ from limbcli.site_model.site_layers import MRI, held_layers
 from limbcli.stages.expect import keep_expected
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
 from limbcli.stages.simulated_subjects.indent import indent
-from limbcli.stages.simulated_subjects.known_stretches import (
-    check_stretches,
-    true_states,
-)
+from limbcli.stages.simulated_subjects.known_stretches import check_stretches, true_states
 from limbcli.stages.simulated_subjects.synth_case import (
     borders_at_rest,
     case_table,
@@ -55,15 +52,9 @@ _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
 
 
 def synth(
-    case: Case,
-    *,
-    out: Path,
-    out_case: Path,
-    sites: list[str] | None = None,
-    options: SynthOptions = SynthOptions(),
-    force: bool = False,
-    progress: Progress = SILENT,
-) -> StageResult:
+    case: Case, *, out: Path, out_case: Path, sites: list[str] | None = None,
+    options: SynthOptions = SynthOptions(), force: bool = False, progress: Progress = SILENT,
+) -> StageResult:  # fmt: skip
     """Write a copy of `case` with simulated measurements, and the true values to `truth_file(out_case)`.
 
     Raises

@@ -516,15 +516,6 @@ def without_site(field: StiffnessField, name: str, grid: HypothesisGrid | None =
 
 
 __all__ = [
-    "LABELS",
-    "PRIORS",
-    "FieldPrior",
-    "HypothesisGrid",
-    "Interval",
-    "PointValues",
-    "StiffnessField",
-    "Values",
-    "quantile",
-    "stiffness_field",
-    "without_site",
+    "LABELS", "PRIORS", "FieldPrior", "HypothesisGrid", "Interval", "PointValues", "StiffnessField", "Values",
+    "quantile", "stiffness_field", "without_site",
 ]  # fmt: skip

@@ -10,15 +10,7 @@ from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import (
-    Cell,
-    PageTable,
-    Picture,
-    Reportlet,
-    pictures_of,
-    table,
-    worst_mood,
-)
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, pictures_of, table, worst_mood
 from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.reporting.sections.parameters import estimates_table
 from limbcli.results import StageResult

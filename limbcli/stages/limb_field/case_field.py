@@ -95,12 +95,7 @@ class CaseField:
 
 
 def case_field(
-    case: Case,
-    chain: Chain,
-    skin: Triangles,
-    bones: Sequence[Triangles],
-    axis: Array,
-    writer: StageWriter,
+    case: Case, chain: Chain, skin: Triangles, bones: Sequence[Triangles], axis: Array, writer: StageWriter
 ) -> CaseField:
     """The field of a case from the results in its output folder.
 

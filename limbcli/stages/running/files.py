@@ -149,13 +149,9 @@ def at_must_points(curve: Array, must_points: tuple[float, ...]) -> Array:
 
 
 def draw_curve(
-    path: Path,
-    curve: Array,
-    must_points: tuple[float, ...],
-    simulation: Simulation,
-    levels: Levels | None,
+    path: Path, curve: Array, must_points: tuple[float, ...], simulation: Simulation, levels: Levels | None,
     site: Site | None,
-) -> None:
+) -> None:  # fmt: skip
     """Plot simulated force against depth with the levels marked, and the measured points if there are any."""
     from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
     from limbcli.reporting.figures.style import new_figure, style

@@ -101,11 +101,7 @@ def _inside_skin(surfaces: Mapping[str, Triangles], writer: StageWriter, where: 
             f"{what}: {done} (--accept-bones), and the model is too soft where it is missing"
         )
     if len(kept) == 1:
-        raise CaseError(
-            "no bone lies inside the skin",
-            where=where,
-            fix=IN_ONE_FRAME,
-        )
+        raise CaseError("no bone lies inside the skin", where=where, fix=IN_ONE_FRAME)
     return kept
 
 
