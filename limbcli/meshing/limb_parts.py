@@ -187,10 +187,6 @@ def _crest(leg: _Leg, heights: Array) -> tuple[Array, Array]:
     return np.interp(heights, table[:, 0], smooth[0]), np.interp(heights, table[:, 0], smooth[1])
 
 
-def _point(frame: LimbFrame, height: float, aside: float, ahead: float) -> Array:
-    return np.asarray(frame.origin + height * frame.axis + aside * frame.lateral + ahead * frame.anterior)
-
-
 def _fibular_head(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     ends, fibula = leg.ends_of("fibula"), bone_named(leg.bones, "fibula")
     if ends is None or fibula is None:
@@ -209,7 +205,10 @@ def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_
     plateau = _plateau(leg)
     low = plateau - TUBEROSITY_MM
     aside, ahead = (float(each[0]) for each in _crest(leg, np.array([low])))
-    landmarks["tibial_tuberosity"] = _point(leg.frame, low, aside, ahead)
+    frame = leg.frame
+    landmarks["tibial_tuberosity"] = (
+        frame.origin + low * frame.axis + aside * frame.lateral + ahead * frame.anterior
+    )
     patella = bone_named(leg.bones, "patella")
     if patella is None:
         raise _MissingPart("no bone is named patella, from whose lower pole the tendon runs")

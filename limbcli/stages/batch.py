@@ -191,7 +191,11 @@ class CaseRun:
 
         asked = {name: self._requested(name, None) for name in ("limb", "socket")}
         sized = {"nodes": given.limb_nodes, **asked["limb"]}
-        fits = [site.name for site in self.case.sites if self._is_fitted(site.name)]
+        fits = [
+            site.name
+            for site in self.case.sites
+            if (stage_folder(self.out, "fit", site.name) / "fit.json").is_file()
+        ]
         templates = {
             name: self.options.templates or path_of(each.get("templates")) for name, each in asked.items()
         }
@@ -346,9 +350,6 @@ class CaseRun:
             memory.remember(stage, each, key)
         self.outcome.ran.append(label)
         return True
-
-    def _is_fitted(self, site: str) -> bool:
-        return (stage_folder(self.out, "fit", site) / "fit.json").is_file()
 
     def _records(self) -> list[Path]:
         """The records of all results, which the report shows."""

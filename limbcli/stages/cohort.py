@@ -31,7 +31,7 @@ from limbcli.cohorts.result import (
 )
 from limbcli.cohorts.table import CohortTable
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.errors.problems import Problem, checked, raise_errors
+from limbcli.errors.problems import checked, raise_errors
 from limbcli.files.atomic import atomic_set, sha256
 from limbcli.files.plain_text import text_cell
 from limbcli.inference.layered_family import LayeredFamily, layered_family
@@ -66,7 +66,7 @@ def cohort(
     read, problems = checked_cohort(table)
     raise_errors(problems, MeasurementError, then="then call `limbcli cohort` again")
     rows = checked(read, problems, MeasurementError)
-    warnings = [_problem_text(each) for each in problems if each.severity == "warning"]
+    warnings = [f"{each.what} ({each.where})" for each in problems if each.severity == "warning"]
     rows, left_out_sites = _with_enough(rows)
     warnings += left_out_sites
     family = layered_family()
@@ -117,10 +117,6 @@ def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
     return table.rows(keep), [
         f"{', '.join(few)}: complete rows of fewer than {FEWEST_PEOPLE} people, excluded from everything"
     ]
-
-
-def _problem_text(each: Problem) -> str:
-    return f"{each.what} ({each.where})"
 
 
 def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:

@@ -83,7 +83,19 @@ def synth(
             _check_target(case, out_case, force=force)  # another program may have made it meanwhile
             if (before := truth_file(out_case)).exists():
                 os.truncate(before, 0)  # if killed from here on, an empty truth file rather than a wrong one
-    return _result(case, out_case, measured)
+    return StageResult(
+        stage="synth",
+        subject=case.subject,
+        folder=out_case,
+        files={"case": CASE_FILE},
+        data={
+            "truth": str(truth_file(out_case)),
+            "sites": list(dict.fromkeys(each.site for each in measured)),
+            "n_levels": {each.label: len(each.readings.force) for each in measured},
+        },
+        summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
+        provenance=provenance(),
+    )
 
 
 def truth_file(out_case: Path) -> Path:
@@ -255,19 +267,3 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
 def noise_law(noise: StatedNoise) -> NoiseLaw:
     """The case's stated noise as a noise law for simulated readings."""
     return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
-
-
-def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageResult:
-    return StageResult(
-        stage="synth",
-        subject=case.subject,
-        folder=out_case,
-        files={"case": CASE_FILE},
-        data={
-            "truth": str(truth_file(out_case)),
-            "sites": list(dict.fromkeys(each.site for each in measured)),
-            "n_levels": {each.label: len(each.readings.force) for each in measured},
-        },
-        summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
-        provenance=provenance(),
-    )

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
-
 from limbcli.reporting.numbers import DASH, cell, figures_table
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Reportlet, pictures_of, table
@@ -18,7 +15,14 @@ _LARGE = 0.1  # relative numerical error of the force that counts as large
 def elements(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet:
     """Linear and quadratic tetrahedra on the same mesh."""
     found = result.data.get("elements", {})
-    rows = (_element_row(name, each) for name, each in found.items())
+    rows = (
+        (
+            Cell(name, lead=True), Cell(str(row.get("n_unknowns", DASH))), cell(row.get("f_kappa")),
+            cell(row.get("m")), cell(row.get("f_kappa_mooney_rivlin")), cell(row.get("r2"), digits=4),
+            cell(row.get("rmse_n")),
+        )
+        for name, row in found.items()
+    )  # fmt: skip
     names = ("element", "unknowns", "f_κ [–]", "m [–]", "f_κ at m = 2 [–]", "R² [–]", "RMSE [N]")
     alt = (
         f"Site {site.name}: forces of tet4 and tet10 on the same mesh at the same parameters and after "
@@ -33,18 +37,6 @@ def elements(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportle
         "with it reflects the stiffness of the mesh, not the compressibility of the tissue",
         notes=result.summary,
         warned=result.warnings,
-    )
-
-
-def _element_row(name: str, row: Mapping[str, Any]) -> tuple[Cell, ...]:
-    return (
-        Cell(name, lead=True),
-        Cell(str(row.get("n_unknowns", DASH))),
-        cell(row.get("f_kappa")),
-        cell(row.get("m")),
-        cell(row.get("f_kappa_mooney_rivlin")),
-        cell(row.get("r2"), digits=4),
-        cell(row.get("rmse_n")),
     )
 
 
