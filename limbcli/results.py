@@ -290,16 +290,10 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
                 raise ValueError(f"`{name}` is not a list of texts")
         check_seal(content)
         found = StageResult(
-            stage=content["stage"],
-            subject=content["subject"],
-            site=content["site"],
-            folder=folder,
-            files=content["files"],
-            data=content["data"],
-            summary=tuple(content["summary"]),
-            warnings=tuple(content["warnings"]),
-            provenance=content["provenance"],
-        )
+            stage=content["stage"], subject=content["subject"], site=content["site"], folder=folder,
+            files=content["files"], data=content["data"], summary=tuple(content["summary"]),
+            warnings=tuple(content["warnings"]), provenance=content["provenance"],
+        )  # fmt: skip
         if (found.stage, found.site) != (stage, site):
             raise ValueError(f"it is that of `{found.label}`")
     return found

@@ -110,21 +110,11 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
     if plot_variables:
         info["plot_variables"] = list(plot_variables)
     model = LimbModel(
-        mesh=_with_empty_sets(mesh.mesh, info),
-        materials=materials.materials,
-        domains=domains,
-        bodies=tuple(read_loads.tie(bodies, ties).values()),
-        supports=supports,
-        drives=drives,
-        springs=springs,
-        contacts=contacts,
-        curves=curves,
-        steps=steps,
-        records=records,
-        info=info,
-        fibres=_fibres(element_maps),
-        loads=loads,
-    )
+        mesh=_with_empty_sets(mesh.mesh, info), materials=materials.materials, domains=domains,
+        bodies=tuple(read_loads.tie(bodies, ties).values()), supports=supports, drives=drives,
+        springs=springs, contacts=contacts, curves=curves, steps=steps, records=records, info=info,
+        fibres=_fibres(element_maps), loads=loads,
+    )  # fmt: skip
     return model, must_curves
 
 

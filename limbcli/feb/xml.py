@@ -72,14 +72,9 @@ class Tag:
         """The error to raise for this tag; follows : what it misses may itself have been refused."""
         more = {"follows": True} if follows else {}
         return CaseError(
-            f"<{self.name}>: {what}",
-            where=f"{self.file}, line {self.line}",
-            fix=fix,
-            tag=self.name,
-            line=self.line,
-            file=str(self.file),
-            **more,
-        )
+            f"<{self.name}>: {what}", where=f"{self.file}, line {self.line}", fix=fix, tag=self.name,
+            line=self.line, file=str(self.file), **more,
+        )  # fmt: skip
 
     def missing(self, what: str, fix: str = "add it, or correct the name") -> CaseError:
         """The error to raise where what this tag names is nowhere; that may itself have been refused."""

@@ -67,15 +67,9 @@ def measure(
     layers = None if true.borders is None else _layers(true.borders, skin_bone, law.layer_mm, rng)
     travel_error = np.where(first | quiet, 0.0, TRAVEL_NOISE_MM * rng.standard_normal(n))
     return Readings(
-        force=force,
-        depth=depth,
-        maps=maps,
-        skin_bone=skin_bone,
-        hold=protocol.hold,
-        trace=trace,
-        layers=layers,
-        travel_error=travel_error,
-    )
+        force=force, depth=depth, maps=maps, skin_bone=skin_bone, hold=protocol.hold, trace=trace,
+        layers=layers, travel_error=travel_error,
+    )  # fmt: skip
 
 
 def _layers(borders: Array, skin_bone: Array | None, deviation: float, rng: np.random.Generator) -> Array:

@@ -207,13 +207,9 @@ def _intervals(
 def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput) -> None:
     fit = together.fit
     writer.data.update(
-        socket=together.words,
-        friction=given.friction,
-        loads_n=list(given.loads),
-        deepest_interference_mm=fit.deepest_mm,
-        widest_gap_mm=fit.widest_mm,
-        frame=together.frame.to_json(),
-    )
+        socket=together.words, friction=given.friction, loads_n=list(given.loads),
+        deepest_interference_mm=fit.deepest_mm, widest_gap_mm=fit.widest_mm, frame=together.frame.to_json(),
+    )  # fmt: skip
     writer.summary.append(f"socket: {together.words}")
     if together.alignment is not None:
         moved = together.alignment

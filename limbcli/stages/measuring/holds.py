@@ -94,14 +94,10 @@ def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
     trace = read_recording(
         path,
         RecordingFormat(
-            columns=table["columns"],
-            time_unit=table["time_unit"],
-            force_unit=table["force_unit"],
-            length_unit=table["length_unit"],
-            separator=table["separator"],
-            decimal=table["decimal"],
+            columns=table["columns"], time_unit=table["time_unit"], force_unit=table["force_unit"],
+            length_unit=table["length_unit"], separator=table["separator"], decimal=table["decimal"],
         ),
-    )
+    )  # fmt: skip
     if table["tare_s"] is not None:
         tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
         mass, axis = float(table["probe_mass_kg"]), table["axis"]

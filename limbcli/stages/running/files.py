@@ -44,14 +44,10 @@ def write_simulation(
 ) -> None:
     """Write the data of run.json, force-depth.csv and force-depth.png."""
     writer.data.update(
-        solver=simulation.solver,
-        solver_version=simulation.version,
-        linear_solver=simulation.linear_solver,
-        n_steps=int(np.count_nonzero(simulation.times > 0)),
-        n_iterations=simulation.n_iterations,
-        n_factorisations=simulation.n_factorisations,
-        solve_seconds=simulation.seconds,
-    )
+        solver=simulation.solver, solver_version=simulation.version, linear_solver=simulation.linear_solver,
+        n_steps=int(np.count_nonzero(simulation.times > 0)), n_iterations=simulation.n_iterations,
+        n_factorisations=simulation.n_factorisations, solve_seconds=simulation.seconds,
+    )  # fmt: skip
     writer.summary.append(
         f"{simulation.solver} {simulation.version}: {writer.data['n_steps']} steps,"
         f" {simulation.n_iterations} iterations, {simulation.n_factorisations} factorisations,"
