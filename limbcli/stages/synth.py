@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import CASE_FILE, Case, Site, StatedNoise
+from limbcli.case import CASE_FILE, Case, Site
 from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.files.temporary_folders import scratch_folder
@@ -208,7 +208,9 @@ def _measure_site(
     check_beside_layers(hidden, held_layers(model))
     for_waves = [contact, *(each.for_waves or each.in_model for each in hidden)]
     protocol = replace(options.protocol, first=sum(each.preload for each in hidden))
-    law = noise_law(site.noise).times(options.noise)
+    noise = site.noise
+    law = NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
+    law = law.times(options.noise)
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
     found = []
@@ -262,8 +264,3 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
         return model
 
     return change
-
-
-def noise_law(noise: StatedNoise) -> NoiseLaw:
-    """The case's stated noise as a noise law for simulated readings."""
-    return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)

@@ -70,7 +70,8 @@ def write_simulation(
         found = travel(body, simulation.rigid[body])
         (writer.summary if found.touches else writer.warnings).append(found.note)
         curve = np.stack([simulation.times, found.depth, found.force], axis=1)[simulation.times > 0]
-    write_curve(writer.file("force_depth", "force-depth.csv"), curve)
+    rows = ([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist())
+    write_rows(writer.file("force_depth", "force-depth.csv"), COLUMNS, rows)
     writer.data.update(
         probe=body,
         max_depth_mm=float(curve[:, 1].max()),
@@ -122,10 +123,6 @@ def force_depth_rows(simulation: Simulation, body: str) -> Array:
     """(n_steps, 3): time s, depth mm, force N of every converged step, without the initial state."""
     rows = np.stack([simulation.times, simulation.probe_depth(body), simulation.probe_force(body)], axis=1)
     return np.asarray(rows[simulation.times > 0])
-
-
-def write_curve(path: Path, curve: Array) -> None:
-    write_rows(path, COLUMNS, ([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist()))
 
 
 def _levels(curve: Array, must_points: tuple[float, ...]) -> list[dict[str, float]]:
