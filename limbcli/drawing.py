@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -11,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from limbcli.files.plain_text import text_cell
+from limbcli.files.plain_text import write_rows
 from limbcli.model import Array
 
 if TYPE_CHECKING:
@@ -139,11 +138,7 @@ def write_data(figure: Figure, path: Path) -> None:
         that are horizontal or do not start at 0), band (the corners of a filled range)
     value : the quantity encoded by its colour, if any
     """
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
-        for row in figure_data(figure):
-            table.writerow([text_cell(_cell(each)) for each in row])
+    write_rows(path, COLUMNS, (map(_cell, row) for row in figure_data(figure)))
 
 
 def figure_data(figure: Figure) -> Iterator[Row]:

@@ -218,9 +218,7 @@ class StageWriter:
                 **self.extra_provenance,
             },
         )
-        content = sealed(result.to_json())
-        text = json.dumps(content, indent=1, allow_nan=False)
-        (self.work / f"{self.stage}.json").write_text(text + "\n", encoding="utf-8")
+        content = write_sealed(self.work / f"{self.stage}.json", result.to_json())
         return replace(result, provenance=content["provenance"])
 
     def _hashes(self, *, pictures: bool) -> dict[str, str]:
@@ -249,6 +247,13 @@ def sealed(content: Mapping[str, Any]) -> dict[str, Any]:
     return {**content, "provenance": {**content["provenance"], _DIGEST: _digest(content)}}
 
 
+def write_sealed(path: Path, content: Mapping[str, Any]) -> dict[str, Any]:
+    """Write a result's record with its own hash, which is returned."""
+    own = sealed(content)
+    path.write_text(json.dumps(own, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    return own
+
+
 def check_seal(content: Mapping[str, Any]) -> None:
     """Raise ValueError if a record does not have the hash that it was written with."""
     known = content["provenance"].get(_DIGEST)
@@ -274,15 +279,9 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
         belongs to another stage or site.
     """
     folder = stage_folder(out, stage, site)
-    path = folder / f"{stage}.json"
-    if not path.is_file():
-        raise CaseError(
-            f"there is no result of `{stage}`" + (f" for site {site}" if site else ""),
-            where=str(folder),
-            fix=f"run `limbcli {stage} CASE --out {out}` first",
-        )
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+    with record_of(
+        folder / f"{stage}.json", stage, f"limbcli {stage} CASE --out {out}", site=site
+    ) as content:
         for name in ("files", "data", "provenance"):
             if not isinstance(content[name], dict):
                 raise ValueError(f"`{name}` is not a table")
@@ -291,25 +290,29 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
                 raise ValueError(f"`{name}` is not a list of texts")
         check_seal(content)
         found = StageResult(
-            stage=content["stage"],
-            subject=content["subject"],
-            site=content["site"],
-            folder=folder,
-            files=content["files"],
-            data=content["data"],
-            summary=tuple(content["summary"]),
-            warnings=tuple(content["warnings"]),
-            provenance=content["provenance"],
-        )
+            stage=content["stage"], subject=content["subject"], site=content["site"], folder=folder,
+            files=content["files"], data=content["data"], summary=tuple(content["summary"]),
+            warnings=tuple(content["warnings"]), provenance=content["provenance"],
+        )  # fmt: skip
         if (found.stage, found.site) != (stage, site):
             raise ValueError(f"it is that of `{found.label}`")
-        return found
+    return found
+
+
+@contextlib.contextmanager
+def record_of(path: Path, stage: str, command: str, *, site: str | None = None) -> Iterator[dict[str, Any]]:
+    """The content of a result's JSON; what is found wrong with it within the block is a CaseError, too.
+
+    command : that writes it
+    """
+    if not path.is_file():
+        what = f"there is no result of `{stage}`" + (f" for site {site}" if site else "")
+        raise CaseError(what, where=str(path.parent), fix=f"run `{command}` first")
+    try:
+        yield json.loads(path.read_text(encoding="utf-8"))
     except UNLIKE_OURS as error:
-        raise CaseError(
-            f"the result of `{stage}` cannot be read ({error})",
-            where=str(path),
-            fix=f"run `limbcli {stage} CASE --out {out}` again",
-        ) from error
+        what = f"the result of `{stage}` cannot be read ({error})"
+        raise CaseError(what, where=str(path), fix=f"run `{command}` again") from error
 
 
 def provenance() -> dict[str, Any]:

@@ -85,12 +85,7 @@ class StageCall:
 
 @contextlib.contextmanager
 def at_work(
-    case: CaseLike,
-    out: PathLike | None,
-    *,
-    wait: bool,
-    progress: Heard,
-    images_only: bool = False,
+    case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard, images_only: bool = False
 ) -> Iterator[StageCall]:
     """Open the case and lock its output folder for writing.
 

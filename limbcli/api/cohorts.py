@@ -7,17 +7,8 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from limbcli.api.call import (
-    CaseLike,
-    Heard,
-    PathLike,
-    folder_of,
-    foreseen,
-    listening,
-    maybe_path,
-    public,
-)
-from limbcli.api.stage_result import Result, one, whole_paths
+from limbcli.api.call import CaseLike, Heard, PathLike, folder_of, foreseen, listening, maybe_path, public
+from limbcli.api.stage_result import Result, one
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
@@ -67,9 +58,6 @@ class CaseResult(Tabular):
     expected: tuple[str, ...] = ()
     report: Path | None = None
 
-    def __post_init__(self) -> None:
-        whole_paths(self)
-
     @property
     def ok(self) -> bool:
         """Whether nothing failed."""
@@ -107,9 +95,6 @@ class BatchResult(Tabular):
 
     cases: tuple[CaseResult, ...]
     index: Path | None = None
-
-    def __post_init__(self) -> None:
-        whole_paths(self)
 
     @property
     def ok(self) -> bool:
@@ -190,8 +175,7 @@ def batch(
     templates: Annotated[PathLike | None, TEMPLATES] = None,
     force: Annotated[bool, Option("Redo every stage, even where nothing changed.")] = False,
     defaults: Annotated[
-        bool,
-        Option("Use default options instead of those that stages were last called with by hand."),
+        bool, Option("Use default options instead of those that stages were last called with by hand.")
     ] = False,
     diagnose: Annotated[bool, Option("Also diagnose every place (minutes each), once it is fitted.")] = False,
     expect: Annotated[
@@ -211,8 +195,7 @@ def batch(
         ),
     ] = None,
     scheduler: Annotated[
-        str | None,
-        Option("Run on an existing Dask cluster, such as tcp://10.0.0.5:8786.", metavar="ADDRESS"),
+        str | None, Option("Run on an existing Dask cluster, such as tcp://10.0.0.5:8786.", metavar="ADDRESS")
     ] = None,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,
@@ -229,8 +212,7 @@ def batch(
     ToolError
         If Dask is not installed, no scheduler answers, or the connection to it is lost.
     """
-    from limbcli.stages.batch_cases import n_processes, one_case, output_folders
-    from limbcli.stages.batch_cluster import together
+    from limbcli.stages.batch_cases import n_processes, outcomes, output_folders
     from limbcli.stages.batching.outcome import BatchOptions
 
     folders = _folders(cases)
@@ -242,16 +224,10 @@ def batch(
     with foreseen():
         pairs = output_folders(folders, maybe_path(out, "out"))
         n_jobs = n_processes(jobs, scheduler, len(pairs))
-        if scheduler is None and n_jobs == 1:
-            outcomes = [one_case(*pair, options, wait=wait, progress=heard) for pair in pairs]
-        else:
-            absolute = [(case.absolute(), target.absolute()) for case, target in pairs]
-            outcomes = together(
-                absolute, options, scheduler=scheduler, jobs=n_jobs, wait=wait, progress=heard
-            )
+        run = outcomes(pairs, options, jobs=n_jobs, scheduler=scheduler, wait=wait, progress=heard)
         found = tuple(
             _case_result(*pair, outcome, expect=expect, heard=heard)
-            for pair, outcome in zip(pairs, outcomes, strict=True)
+            for pair, outcome in zip(pairs, list(run), strict=True)
         )
         together_in = default_out(folders[0]).parent if out is None else folder_of(out)
         return BatchResult(found, _index(together_in, options.templates, heard) if len(pairs) > 1 else None)

@@ -47,10 +47,6 @@ def _estimates(tables: Mapping[str, Mapping[str, Any]]) -> tuple[Estimate, ...]:
     )  # fmt: skip
 
 
-def _of_last_step(found: StageResult) -> tuple[Estimate, ...]:
-    return _estimates(found.data["steps"]["ogden"]["parameters"])
-
-
 def _of_all(found: StageResult) -> tuple[Estimate, ...]:
     return _estimates(found.data["parameters"])
 
@@ -93,7 +89,9 @@ class FitResult(_WithParameters):
     f_kappa: float
     kappa_kpa: float
     m: float
-    parameters: tuple[Estimate, ...] = field(metadata={"from": _of_last_step})
+    parameters: tuple[Estimate, ...] = field(
+        metadata={"from": lambda found: _estimates(found.data["steps"]["ogden"]["parameters"])}
+    )
     r2: float
     rmse_n: float
     solver: str

@@ -39,10 +39,7 @@ BOUNDARY_CHECK = Option(
     "allow for both."
 )
 CYCLE = Option("Loading cycle to fit, if there are several: a number, or last.", kind=str, such_as=("last",))
-LAW = Option(
-    f"Law for joint and states: {' | '.join(get_args(LawName))}.",
-    before="gain_deviation_fraction",
-)
+LAW = Option(f"Law for joint and states: {' | '.join(get_args(LawName))}.", before="gain_deviation_fraction")
 COMPARE_LAWS = Option(
     "Joint only: compare all laws by the error of held-out levels.", before="gain_deviation_fraction"
 )

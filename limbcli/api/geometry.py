@@ -149,8 +149,7 @@ def segment(
         Option("Which limb to take, if the images show two; default: the case's.", metavar="left|right"),
     ] = None,
     accept_bones: Annotated[
-        bool,
-        Option("If a bone lies partly outside the skin, keep the part inside; default: it is an error."),
+        bool, Option("If a bone lies partly outside the skin, keep the part inside; default: it is an error.")
     ] = False,
     aop: Annotated[bool, Option("Also write skin.aop, the skin for prosthetic CAD programs.")] = False,
     fresh: Annotated[bool, Option("Discard a label map that was edited by hand and segment again.")] = False,
@@ -194,8 +193,7 @@ def mesh(
         float | None, Option("Edge length of elements under the probe, mm; default: 2.5.", SIZE_MM)
     ] = None,
     far_size_mm: Annotated[
-        float | None,
-        Option("Edge length far from the probe, mm; default: 8, or --size-mm.", FAR_SIZE_MM),
+        float | None, Option("Edge length far from the probe, mm; default: 8, or --size-mm.", FAR_SIZE_MM)
     ] = None,
     margin_mm: Annotated[float | None, MARGIN] = None,
     skin_mm: Annotated[

@@ -7,16 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, Self
 
-from limbcli.api.call import (
-    CaseLike,
-    Heard,
-    PathLike,
-    at_work,
-    folder_of,
-    foreseen,
-    listening,
-    names_of,
-)
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, names_of
 from limbcli.api.stage_result import Result, one
 from limbcli.numbers.mesh_bounds import FAR_SIZE_MM, SIZE_MM
 from limbcli.options import CASE, MARGIN, OUT, PROGRESS, SITES, WAIT, Option

@@ -32,10 +32,9 @@ class Result(Tabular):
     stage_result: StageResult = field(repr=False)
 
     def __post_init__(self) -> None:
-        """Make paths absolute, so that they stay valid if the working folder changes."""
         home = replace(self.stage_result, folder=self.stage_result.folder.absolute())
         object.__setattr__(self, "stage_result", home)
-        whole_paths(self)
+        super().__post_init__()
 
     @classmethod
     def of(cls, found: StageResult) -> Self:
@@ -138,13 +137,6 @@ def _field(declared: Field[Any], found: StageResult) -> Any:
 
 def _tuples(value: Any) -> Any:
     return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
-
-
-def whole_paths(result: Any) -> None:
-    """Make the paths of a frozen dataclass absolute."""
-    for each in fields(result):
-        if isinstance(path := getattr(result, each.name), Path):
-            object.__setattr__(result, each.name, path.absolute())
 
 
 def _refuse_other_site(out: Path, stage: str, site: str | None) -> None:

@@ -18,9 +18,9 @@ from limbcli.api.call import (
     names_of,
     public,
 )
-from limbcli.api.stage_result import Result, each_site, whole_paths
+from limbcli.api.stage_result import Result, each_site
 from limbcli.api.tables import Tabular, plain_rows, read_columns
-from limbcli.errors.problems import Problem
+from limbcli.errors.problems import Problem, errors_of
 from limbcli.options import CASE, OUT, PROGRESS, SITES, WAIT, Option
 from limbcli.results import StageResult
 
@@ -43,13 +43,10 @@ class CheckResult(Tabular):
     looked_at: tuple[str, ...]
     problems: tuple[Problem, ...]
 
-    def __post_init__(self) -> None:
-        whole_paths(self)
-
     @property
     def ok(self) -> bool:
         """Whether there is no error."""
-        return all(each.severity != "error" for each in self.problems)
+        return not errors_of(self.problems)
 
     def __str__(self) -> str:
         problems = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -83,7 +84,13 @@ def to_frame(table: Table) -> pandas.DataFrame:
 
 
 class Tabular:
-    """Base class of results that have rows and can be converted to a table."""
+    """Base class of results, frozen dataclasses, that have rows and can be converted to a table."""
+
+    def __post_init__(self) -> None:
+        """Make paths absolute, so that they stay valid if the working folder changes."""
+        for each in fields(self):  # type: ignore[arg-type]
+            if isinstance(path := getattr(self, each.name), Path):
+                object.__setattr__(self, each.name, path.absolute())
 
     def rows(self) -> list[dict[str, Any]]:
         """The rows of `table()` as plain values."""

@@ -62,10 +62,9 @@ class Case:
         )
         probe = f"{self.probe.name}, {self.probe.length:g} x {self.probe.width:g} mm"
         return (
-            f"<div><b>{escape(self.subject)}</b>, {self.limb} limb: {escape(str(self.folder))}"
-            f"<div>probe: {escape(probe)}</div>"
-            "<table><tr><th>site</th><th>place (patient LPS, mm)</th><th>long axis</th><th>levels</th></tr>"
-            f"{rows}</table></div>"
+            f"<div><b>{escape(self.subject)}</b>, {self.limb} limb: {escape(str(self.folder))}<div>probe: "
+            f"{escape(probe)}</div><table><tr><th>site</th><th>place (patient LPS, mm)</th><th>long "
+            f"axis</th><th>levels</th></tr>{rows}</table></div>"
         )
 
     @property
@@ -146,7 +145,7 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     )
     sites, of_sites = _read_sites(raw.get("site"), files, imaging)
     problems += of_sites + found + read_socket(raw, files)[1]
-    if any(each.severity == "error" for each in problems):
+    if errors_of(problems):
         return None, problems
     return _assemble(folder, raw, parts, imaging, sites), problems
 
@@ -297,14 +296,9 @@ def _read_site(
 
 
 def _make_site(
-    values: Mapping[str, Any],
-    noise: Mapping[str, Any],
-    paths: Mapping[str, Path | None],
-    levels: Path,
-    instruments: Mapping[str, Mapping[str, Any]],
-    layers: Mapping[str, Mapping[str, Any]],
-    fibres: Fibres,
-) -> Site:
+    values: Mapping[str, Any], noise: Mapping[str, Any], paths: Mapping[str, Path | None], levels: Path,
+    instruments: Mapping[str, Mapping[str, Any]], layers: Mapping[str, Mapping[str, Any]], fibres: Fibres,
+) -> Site:  # fmt: skip
     position, long_axis = values["position_mm"], values["long_axis"]
     return Site(
         name=values["name"],

@@ -68,12 +68,7 @@ def _noting_site(site: Site, tell: Tell) -> Site:
 
 
 def _wrapped(
-    part: Part,
-    tell: Tell,
-    prefix: str,
-    *,
-    not_of_case: frozenset[str] = frozenset(),
-    **changes: Any,
+    part: Part, tell: Tell, prefix: str, *, not_of_case: frozenset[str] = frozenset(), **changes: Any
 ) -> Part:
     """A copy of a part, of a class that reports what is asked of it."""
     kind: Any = type(part)

@@ -15,21 +15,13 @@ from limbcli.errors import LimbError
 from limbcli.progress import Progress
 
 if TYPE_CHECKING:
-    from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
+    from limbcli.stages.batching.outcome import CaseOutcome, StepFailure
 
 
 def batch_cases(
-    cases: list[Path],
-    *,
-    out: Path | None,
-    expect: bool,
-    jobs: int | None,
-    scheduler: str | None,
-    wait: bool,
-    json: bool,
-    progress: Progress,
-    **others: Any,
-) -> None:
+    cases: list[Path], *, out: Path | None, expect: bool, jobs: int | None, scheduler: str | None, wait: bool,
+    json: bool, progress: Progress, **others: Any,
+) -> None:  # fmt: skip
     """Run all stages of one or more cases, from images to report; only what changed is redone.
 
     A stage last called by hand with options is called with them again, with a note.
@@ -39,17 +31,18 @@ def batch_cases(
     are listed at the end, with place and reason.
     """
     from limbcli.config import default_out
-    from limbcli.stages.batch_cases import n_processes, output_folders
+    from limbcli.stages.batch_cases import n_processes, outcomes, output_folders
     from limbcli.stages.batching.outcome import BatchOptions
 
     options = BatchOptions.of(**others)
     pairs = output_folders(cases, out)
-    way = _Way(options, progress, wait=wait, expect=expect, as_json=json)
     n_jobs = n_processes(jobs, scheduler, len(pairs))
-    if scheduler is None and n_jobs == 1:
-        entries = [way.alone(case, target) for case, target in pairs]
-    else:
-        entries = way.together(pairs, scheduler=scheduler, jobs=n_jobs)
+    run = outcomes(pairs, options, jobs=n_jobs, scheduler=scheduler, wait=wait, progress=progress)
+    entries = []
+    for pair, outcome in zip(pairs, run, strict=True):
+        for failure in outcome.failures if scheduler is None and n_jobs == 1 else ():
+            report_error(failure.error, as_json=False)
+        entries.append(_entry(*pair, outcome, expect=expect, as_json=json, progress=progress))
     if json:
         emit_json([each.content for each in entries])
     if len(pairs) > 1:
@@ -99,45 +92,22 @@ def _lines(failure: StepFailure) -> list[str]:
     return [f"  {what}", f"    where: {error.where}", f"    fix:   {error.fix}"]
 
 
-class _Way:
-    """How cases are run, and what is reported for each."""
+def _entry(
+    case: Path, target: Path, outcome: CaseOutcome, *, expect: bool, as_json: bool, progress: Progress
+) -> _Entry:
+    """What is told of a case, compared with its expected.toml if requested."""
+    from limbcli.stages.batch_cases import expectations
 
-    def __init__(self, options: BatchOptions, progress: Progress, *, wait: bool, expect: bool, as_json: bool):
-        self.options, self.progress = options, progress
-        self.wait, self.expect, self.as_json = wait, expect, as_json
-
-    def alone(self, case: Path, target: Path) -> _Entry:
-        """Run one case in this process; its errors are printed, not raised."""
-        from limbcli.stages.batch_cases import one_case
-
-        outcome = one_case(case, target, self.options, wait=self.wait, progress=self.progress)
-        for failure in outcome.failures:
-            report_error(failure.error, as_json=False)
-        return self._entry(case, target, outcome)
-
-    def together(self, pairs: list[tuple[Path, Path]], *, scheduler: str | None, jobs: int) -> list[_Entry]:
-        """Run all cases on a cluster, or in `jobs` local processes."""
-        from limbcli.stages.batch_cluster import together
-
-        absolute = [(case.absolute(), target.absolute()) for case, target in pairs]
-        outcomes = together(
-            absolute, self.options, scheduler=scheduler, jobs=jobs, wait=self.wait, progress=self.progress
-        )
-        return [self._entry(*pair, outcome) for pair, outcome in zip(pairs, outcomes, strict=True)]
-
-    def _entry(self, case: Path, target: Path, outcome: CaseOutcome) -> _Entry:
-        from limbcli.stages.batch_cases import expectations
-
-        content = outcome.to_json() | {"case": str(case), "out": str(target)}
-        failures = list(outcome.failures)
-        if not outcome.begun:
-            content = {"case": str(case), "out": str(target), "error": failures[0].error.what}
-        elif self.expect:
-            found, unlike = expectations(case, target, progress=self.progress)
-            content["expected"] = [{**vars(each), "expected": each.expected} for each in found]
-            failures += unlike
-            if not self.as_json:
-                say("".join(f"{each}\n" for each in found), end="")
-        if not self.as_json and outcome.report:
-            say(outcome.report)
-        return _Entry(content, failures)
+    content = outcome.to_json() | {"case": str(case), "out": str(target)}
+    failures = list(outcome.failures)
+    if not outcome.begun:
+        content = {"case": str(case), "out": str(target), "error": failures[0].error.what}
+    elif expect:
+        found, unlike = expectations(case, target, progress=progress)
+        content["expected"] = [{**vars(each), "expected": each.expected} for each in found]
+        failures += unlike
+        if not as_json:
+            say("".join(f"{each}\n" for each in found), end="")
+    if not as_json and outcome.report:
+        say(outcome.report)
+    return _Entry(content, failures)

@@ -14,8 +14,7 @@ from limbcli.results import StageResult
 
 def run_case_or_file(
     case: Annotated[
-        Path | None,
-        Option("Case folder, or a FEBio model of your own.", metavar="CASE|FILE.feb", kind=Path),
+        Path | None, Option("Case folder, or a FEBio model of your own.", metavar="CASE|FILE.feb", kind=Path)
     ] = None,
     *,
     feb: Annotated[Path | None, Option("A FEBio model instead of a case.", metavar="FILE", kind=Path)] = None,

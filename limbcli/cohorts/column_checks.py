@@ -25,12 +25,15 @@ from limbcli.cohorts.table import (
     read_cohort,
 )
 from limbcli.cohorts.unit_guess import common_factors, disagreeing, pressure_units, unusual_face
-from limbcli.errors.problems import Problem
+from limbcli.errors.problems import Problem, errors_of
 from limbcli.measurement.edge_noise import EdgeNoise, layer_noise
 from limbcli.measurement.number_table import RawTable, problem
 from limbcli.model import Array
 
 Rows = NDArray[np.bool_]
+Listed = Callable[
+    [Rows | np.bool_, Callable[[int], str], str], list[Problem]
+]  # `_listed` of the complete rows
 
 _SHOWN = 5  # largest number of rows listed per kind of problem
 # tolerances (mm; fraction of the whole) of the sum of the layers against the whole: rounding
@@ -53,31 +56,34 @@ _R2_ROUNDING = 0.01
 def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
     """The complete rows of a table, if they are usable, and every problem."""
     raw, problems = read_cohort(path)
-    if raw is None or any(each.severity == "error" for each in problems):
+    if raw is None or errors_of(problems):
         return None, problems
     columns, lines = raw.numbers, np.array(raw.lines)
     complete = np.all([np.isfinite(columns[name]) for name in REQUIRED if name != "skin_mm"], axis=0)
     complete &= np.any([np.isfinite(columns[name]) for name in (FACE, PRESSURE) if name in columns], axis=0)
-    problems += _unnamed(raw, complete, path, PERSON, "person") + _unnamed(raw, complete, path, SITE, "site")
-    problems += _without_skin(raw, complete, path)
+    listed = partial(_listed, complete, lines, path)
+    problems += _unnamed(raw, listed, PERSON, "person") + _unnamed(raw, listed, SITE, "site")
+    problems += _without_skin(raw, listed)
     n_left = int((~complete).sum())
     if n_left:
         words = f"{n_left} of {len(lines)} rows are missing a reading and are excluded{_at(lines[~complete])}"
         problems.append(problem(words, path, "fill the empty cells, or ignore this", warning=True))
     if not complete.any():
         problems.append(problem("no row is complete", path, "fill the empty cells"))
-    if any(each.severity == "error" for each in problems):
+    if errors_of(problems):
         return None, problems
-    problems += _impossible(raw, complete, path)
-    if any(each.severity == "error" for each in problems):
+    all_rows = _table(raw, path)
+    with np.errstate(all="ignore"):  # values that no tissue or probe can have; wrong units cause the others
+        problems += _units(raw, all_rows, complete, listed) or _contradictions(raw, all_rows, listed)
+    if errors_of(problems):
         return None, problems
-    table = replace(_table(raw, path).rows(complete), n_incomplete=n_left)
-    if face := unusual_face(raw.numbers, _table(raw, path).face, complete):
+    table = replace(all_rows.rows(complete), n_incomplete=n_left)
+    if face := unusual_face(raw.numbers, all_rows.face, complete):
         fix = "check the units: a force in lbf makes the face 4.4 times too small; or give face_mm2"
         problems.append(problem(face, path, fix, warning=True))
     problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_given(table)
     problems += _grown(table, layer_noise(table.shortened))
-    return (None if any(each.severity == "error" for each in problems) else table), problems
+    return (None if errors_of(problems) else table), problems
 
 
 def _at(lines: Array) -> str:
@@ -117,41 +123,27 @@ def _listed(
     return found
 
 
-def _unnamed(raw: RawTable, complete: Rows, path: Path, name: str, noun: str) -> list[Problem]:
+def _unnamed(raw: RawTable, listed: Listed, name: str, noun: str) -> list[Problem]:
     """Rows without person or site: they would all be treated as one person, or one site."""
-    return _listed(
-        complete,
-        np.array(raw.lines),
-        path,
+    return listed(
         np.array([not cell for cell in raw.texts[name]]),
         lambda k: f"the {noun} is missing",
         f"enter the {noun} in every row, even if it is the same as in the row above",
     )
 
 
-def _without_skin(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
+def _without_skin(raw: RawTable, listed: Listed) -> list[Problem]:
     skin = raw.numbers["skin_mm"]
     others = np.isfinite(raw.numbers["fat_mm"]) | np.isfinite(raw.numbers["muscle_mm"])
-    return _listed(
-        complete,
-        np.array(raw.lines),
-        path,
+    return listed(
         others & (~np.isfinite(skin) | (skin == 0.0)),
         lambda k: "there are layers below the skin, but no skin thickness: skin_mm is empty or 0",
         "also mark the border between skin and fat: without it the fat's thickness includes the skin's",
     )
 
 
-def _impossible(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
-    """Values that no tissue or probe can have; wrong units first, because they cause the others."""
-    with np.errstate(all="ignore"):
-        return _units(raw, complete, path) or _contradictions(raw, complete, path)
-
-
-def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
-    columns, lines = raw.numbers, np.array(raw.lines)
-    table = _table(raw, path)
-    listed = partial(_listed, complete, lines, path)
+def _units(raw: RawTable, table: CohortTable, complete: Rows, listed: Listed) -> list[Problem]:
+    columns, lines, path = raw.numbers, table.lines, table.path
     whole, force, strain = columns["thickness_mm"], columns["max_force_n"], columns["total_strain"]
     depth = strain * whole
     found = listed(
@@ -181,7 +173,7 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         lambda k: f"a strain is {percent[k]:g}: its unit looks wrong",
         "give shortening over thickness (0.2, not 20)",
     )
-    found += _pressure_against_force(raw, complete, path)
+    found += _pressure_against_force(raw, complete, listed)
     secant = force / table.face / depth
     off = table.slope / secant
     explained = np.zeros(len(lines), dtype=bool)
@@ -192,8 +184,7 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     found += listed(
         ~explained & (depth > 0) & ~((off > 1 / _SLOPE_OFF) & (off < _SLOPE_OFF)),
         lambda k: (
-            f"stiffness_mpa_per_mm is {table.slope[k]:g} but pressure over "
-            f"displacement is {secant[k]:.3g}: "
+            f"stiffness_mpa_per_mm is {table.slope[k]:g} but pressure over displacement is {secant[k]:.3g}: "
             "its unit looks wrong"
         ),
         "give the slope of pressure (MPa) over displacement (mm)",
@@ -201,7 +192,7 @@ def _units(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
     return found
 
 
-def _pressure_against_force(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
+def _pressure_against_force(raw: RawTable, complete: Rows, listed: Listed) -> list[Problem]:
     """The pressure must be force over face where all three are given."""
     columns, wrong = raw.numbers, complete & disagreeing(raw.numbers)
     if not wrong.any():
@@ -209,10 +200,7 @@ def _pressure_against_force(raw: RawTable, complete: Rows, path: Path) -> list[P
     ratio = columns[PRESSURE] * columns[FACE] / columns["max_force_n"]
     middle = float(np.median(ratio[wrong]))
     units = pressure_units(middle) if middle > 0 else ""
-    return _listed(
-        complete,
-        np.array(raw.lines),
-        path,
+    return listed(
         wrong,
         lambda k: (
             f"max_pressure_mpa is {columns[PRESSURE][k]:g}, but max_force_n over face_mm2 is "
@@ -223,17 +211,15 @@ def _pressure_against_force(raw: RawTable, complete: Rows, path: Path) -> list[P
     )
 
 
-def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
-    columns, lines = raw.numbers, np.array(raw.lines)
-    table = _table(raw, path)
-    listed = partial(_listed, complete, lines, path)
+def _contradictions(raw: RawTable, table: CohortTable, listed: Listed) -> list[Problem]:
+    columns, n = raw.numbers, len(raw)
     whole, depth = columns["thickness_mm"], columns["total_strain"] * columns["thickness_mm"]
     apart = np.abs(table.whole - whole)
     found = listed(
         (table.thickness <= 0).any(axis=1),
         lambda k: (
             "interfaces cross at first contact: "
-            + ", ".join(f"{n} {table.thickness[k, j]:g} mm" for j, n in enumerate(LAYERS))
+            + ", ".join(f"{name} {table.thickness[k, j]:g} mm" for j, name in enumerate(LAYERS))
         ),
         "a layer's lower border lies below its upper one; mark them again",
     )
@@ -271,7 +257,7 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         ),
         "shortening counts positive; mark the borders of both images again",
     )
-    line, parabola = (columns.get(f"r2_{name}", np.full(len(lines), np.nan)) for name in ("line", "parabola"))
+    line, parabola = (columns.get(f"r2_{name}", np.full(n, np.nan)) for name in ("line", "parabola"))
     found += listed(
         (line > 1.0) | (parabola > 1.0) | (parabola < line - _R2_ROUNDING),
         lambda k: (
@@ -280,13 +266,12 @@ def _contradictions(raw: RawTable, complete: Rows, path: Path) -> list[Problem]:
         ),
         "correct them, or leave both empty (are they in percent, or exchanged?)",
     )
-    girth = columns.get("circumference_mm", np.full(len(lines), np.nan))
+    girth = columns.get("circumference_mm", np.full(n, np.nan))
     found += listed(
         np.nan_to_num(girth, nan=np.inf) <= np.pi * whole,
         lambda k: (
             f"a circumference of {girth[k]:g} mm is smaller than the layers allow: a limb {whole[k]:g} mm "
-            f"thick "
-            f"from skin to bone measures more than {np.pi * whole[k]:.0f} mm round"
+            f"thick from skin to bone measures more than {np.pi * whole[k]:.0f} mm round"
         ),
         "give the limb's circumference at the site in mm, or leave the cell empty",
     )

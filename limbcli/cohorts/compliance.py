@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from limbcli.cohorts.estimate import noise_of
-from limbcli.cohorts.population import CohortModel, readings, row_modes_of
+from limbcli.cohorts.population import PRIOR_DEVIATION, START, CohortModel, reading_noise, readings
 from limbcli.cohorts.table import OF_PERSON, CohortTable
 from limbcli.inference.cross_validation import (
     FOLDS,
@@ -18,6 +18,7 @@ from limbcli.inference.cross_validation import (
     springs_left_out,
 )
 from limbcli.inference.layered_family import LayeredFamily
+from limbcli.inference.population import row_modes
 from limbcli.model import Array
 
 _PAIRS = 8  # least number of repeated measurements for which repeatability is reported
@@ -47,6 +48,12 @@ def compliance_left_out(
     found = predict_left_out(people, sites, features, measured, physics, seed=seed)
     off = percent_off(found.predicted, measured)
     soft, worst = table.thickness[:, 1:], int(np.argmax(off))
+    nothing = np.zeros((len(measured), 0))
+    others = {
+        "springs_in_series_percent": springs_left_out(people, soft, measured, seed=seed),
+        "linear_site_by_site_percent": lines_left_out(people, sites, soft, measured, seed=seed),
+        "sites_mean_percent": lines_left_out(people, sites, nothing, measured, seed=seed),
+    }
     entry: dict[str, Any] = {
         "mean_absolute_difference_percent": float(off.mean()),
         "interval_95_percent": list(mean_interval(people, off, seed=seed)),
@@ -63,19 +70,7 @@ def compliance_left_out(
         "seed": seed,
         "by_site_percent": {site: float(off[sites == site].mean()) for site in table.sites},
         "with_person_columns": _with_person(table, features, physics, seed),
-        "same_folds": {
-            "springs_in_series_percent": float(
-                percent_off(springs_left_out(people, soft, measured, seed=seed), measured).mean()
-            ),
-            "linear_site_by_site_percent": float(
-                percent_off(lines_left_out(people, sites, soft, measured, seed=seed), measured).mean()
-            ),
-            "sites_mean_percent": float(
-                percent_off(
-                    lines_left_out(people, sites, np.zeros((len(measured), 0)), measured, seed=seed), measured
-                ).mean()
-            ),
-        },
+        "same_folds": {name: float(percent_off(each, measured).mean()) for name, each in others.items()},
         "repeatability": _repeatability(table, slope_deviation, layer_deviation),
         "person_share_of_residual_variance": _person_share(table, np.log(measured / found.predicted)),
         "chosen": list(found.chosen),
@@ -115,14 +110,8 @@ class _Slab:
         model = CohortModel.of(self._family, part.thickness, part.face, part.depth / part.whole)
         seen = readings(part.force, part.face, part.whole, part.shortened, part.slope)
         theta = np.full((len(self._table), 3), np.nan)
-        theta[train] = row_modes_of(
-            model,
-            seen,
-            part.shortened,
-            self._family,
-            layer_deviation=noise.layers.shortened,
-            slope_deviation=noise.slope,
-        )
+        covariance = reading_noise(part.shortened, noise.layers.shortened, noise.slope, self._family.error)
+        theta[train] = row_modes(model, seen, covariance, START, np.diag(PRIOR_DEVIATION**2))
         return theta
 
     def __call__(self, train: Array) -> Array:
@@ -175,9 +164,8 @@ def _repeatability(table: CohortTable, slope_deviation: float, layer_deviation: 
     entry["n_repeated"] = len(repeated)
     if len(repeated) < _PAIRS:
         entry["reason"] = (
-            f"{len(repeated)} sites of a person were measured more than once; trials of the same person "
-            f"and site "
-            "are needed to assess repeatability"
+            f"{len(repeated)} sites of a person were measured more than once; trials of the same person and "
+            "site are needed to assess repeatability"
         )
         return entry
     free = sum(len(each) - 1 for each in repeated)

@@ -61,17 +61,16 @@ def distributions(rows: Sequence[Row], sites: Mapping[str, Any]) -> Figure:
             range(len(names)), shown, fontsize=9, rotation=0 if upright else 30,
             ha="center" if upright else "right", rotation_mode="anchor",
         )  # fmt: skip
-        figure.legend(handles=_marks(), loc="outside upper center", ncols=4, fontsize=8.5)
+        marks = [
+            Line2D([], [], color=BLUE, marker=".", lw=1.2, label="a person, 95 %"),
+            Line2D(
+                [], [], color=VERMILION, marker="_", ms=14, mew=2, lw=0, label="geometric mean of the people"
+            ),
+            Line2D([], [], color=VERMILION, lw=2, label="its 95 % interval"),
+            Line2D([], [], color=VERMILION, lw=5, alpha=0.45, label="spread between people (×/÷ 1 SD)"),
+        ]
+        figure.legend(handles=marks, loc="outside upper center", ncols=4, fontsize=8.5)
     return figure
-
-
-def _marks() -> list[Line2D]:
-    return [
-        Line2D([], [], color=BLUE, marker=".", lw=1.2, label="a person, 95 %"),
-        Line2D([], [], color=VERMILION, marker="_", ms=14, mew=2, lw=0, label="geometric mean of the people"),
-        Line2D([], [], color=VERMILION, lw=2, label="its 95 % interval"),
-        Line2D([], [], color=VERMILION, lw=5, alpha=0.45, label="spread between people (×/÷ 1 SD)"),
-    ]
 
 
 def _bar(axes: Axes, x: float, own: Mapping[str, Any], name: str) -> None:

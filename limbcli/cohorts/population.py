@@ -28,7 +28,6 @@ from limbcli.inference.layered_solves import (
     RATIO,
     SKIN_PART,
 )
-from limbcli.inference.population import row_modes
 from limbcli.model import Array
 
 PARAMETERS = ("c_muscle", "c_fat", "m")
@@ -37,7 +36,6 @@ C_MUSCLE, C_FAT, M = range(3)
 # c of some kPa, within a factor 2.
 START = np.log(np.array([0.008, 0.008, 3.0]))
 PRIOR_DEVIATION = np.array([0.5, 0.7, 0.4])
-ASSUMED_EDGE = 0.1  # standard deviation of a layer edge (mm), where no table gives it
 FORCE_NOISE = 0.02  # relative standard deviation of the force, from transducer and hold
 _STEEPNESS = 1.4  # typical d ln force / d ln depth, which converts depth error into force error
 # Rows needed to determine the slope's noise; difference of R2 up to which a parabola fits no better than a
@@ -132,24 +130,6 @@ def reading_noise(
     marks = (layer_deviation[1] * (1 - part)) ** 2 + (layer_deviation[2] * part) ** 2
     out[:, 2, 2] = marks / below**2 + (_LOGISTIC * emulator_error[MUSCLE_PART]) ** 2
     return out
-
-
-def row_modes_of(
-    model: CohortModel,
-    seen: Array,
-    shortened: Array,
-    family: LayeredFamily,
-    *,
-    layer_deviation: Array | None = None,
-    slope_deviation: float = _ASSUMED_SLOPE,
-) -> Array:
-    """Most likely tissue (n, 3) of each row under the weak prior alone, each row independently of the others.
-
-    layer_deviation : (3,) mm; None: the value assumed where no table gives it
-    """
-    deviation = np.full(3, 2 * ASSUMED_EDGE) if layer_deviation is None else layer_deviation
-    noise = reading_noise(shortened, deviation, slope_deviation, family.error)
-    return row_modes(model, seen, noise, START, np.diag(PRIOR_DEVIATION**2))
 
 
 def slope_noise(convexity: Array, r2_line: Array | None, r2_parabola: Array | None) -> tuple[float, bool]:

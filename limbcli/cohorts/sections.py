@@ -122,8 +122,7 @@ def misfits(data: Data) -> Reportlet:
         pictures=(Picture("misfits", alt, figure=drawn.misfits(data["rows"])),),
         look_for="dots on the line at the left: fat and muscle shorten as the fitted layers do",
         bad="a cloud off the line. At the right nothing was fitted: skin is held five times as stiff as "
-        "muscle, and its "
-        "shortening is of the size of the marks’ noise",
+        "muscle, and its shortening is of the size of the marks’ noise",
     )
 
 
@@ -220,9 +219,8 @@ def grounds(data: Data) -> Reportlet:
         look_for="noise well below a layer’s shortening, and an emulator error below it",
         bad="an assumed noise: the intervals are only as reliable as that assumption",
         notes=(
-            "The model is a flat layered slab on a rigid base under a face four times as long as wide: "
-            "the limb’s shape is not "
-            "known. c depends on this assumed shape; compare people at one site, and sites "
-            "only with care.",
+            "The model is a flat layered slab on a rigid base under a face four times as long as wide: the "
+            "limb’s shape is not known. c depends on this assumed shape; compare people at one site, and "
+            "sites only with care.",
         ),
     )

@@ -7,7 +7,7 @@ and the slope of pressure over displacement. No image, limb geometry or wave spe
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,20 +52,6 @@ TEXTS: Mapping[str, str] = {
     TRIAL: "optional: which repetition, where a person's site was measured more than once",
     SEX: "optional, any two words; used in a second prediction of compliance",
 }
-_MAY_BE_EMPTY = frozenset(
-    {
-        "thickness_mm",
-        "muscle_mm",
-        "fat_mm",
-        "skin_mm",
-        "total_strain",
-        "skin_strain",
-        "fat_strain",
-        "muscle_strain",
-        "stiffness_mpa_per_mm",
-        "max_force_n",
-    }
-)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -118,19 +104,8 @@ class CohortTable:
 
     def rows(self, keep: NDArray[Any]) -> CohortTable:
         """The rows selected by `keep` (mask or indices)."""
-        names = (
-            "person",
-            "site",
-            "trial",
-            "sex",
-            "force",
-            "face",
-            "thickness",
-            "shortened",
-            "slope",
-            "lines",
-        )
-        parts = {name: getattr(self, name)[keep] for name in names}
+        arrays = [each.name for each in fields(self) if each.type == "Array"]
+        parts = {name: getattr(self, name)[keep] for name in arrays}
         return replace(self, **parts, others={name: each[keep] for name, each in self.others.items()})
 
 
@@ -146,7 +121,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     also = {name: meant for name, meant in _ALSO.items() if meant not in header}
     spare = {each for each in header if each and each not in known | set(also)}
     texts = {*TEXTS, *also, *spare}
-    optional = {*OPTIONAL, *(_MAY_BE_EMPTY & set(header))}
+    optional = {*OPTIONAL, *(REQUIRED.keys() & set(header))}
     required = [] if header else [*REQUIRED]  # missing columns are reported separately, with their meaning
     table, problems = read_table(path, required=required, optional=optional, texts=texts)
     problems = [*_lacking(header, path), *problems] if header else problems
@@ -176,7 +151,7 @@ def _lacking(header: list[str], path: Path) -> list[Problem]:
     for name in (PERSON, SITE):
         if name not in header and not any(_ALSO.get(each) == name for each in header):
             found.append(problem(f"column {name!r} is missing", path, f"add it: {TEXTS[name]}", line=1))
-    for name in _MAY_BE_EMPTY:
+    for name in REQUIRED:
         if name not in header:
             found.append(problem(f"column {name!r} is missing", path, f"add it: {REQUIRED[name]}", line=1))
     if FACE not in header and PRESSURE not in header:

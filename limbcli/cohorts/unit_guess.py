@@ -77,10 +77,9 @@ def common_factors(raw: RawTable, complete: Rows, secant: Array, slope: Array) -
         yield (
             rows,
             (
-                f"{site}: pressure over displacement at the largest force is {shown} "
-                f"stiffness_mpa_per_mm in the median of {int(rows.sum())} rows; curves of tissue have "
-                f"{np.exp(REACH[0]):.2f} to {np.exp(REACH[1]):.2f}: its unit looks wrong. "
-                f"{_units_of(raw, middle)}"
+                f"{site}: pressure over displacement at the largest force is {shown} stiffness_mpa_per_mm in "
+                f"the median of {int(rows.sum())} rows; curves of tissue have {np.exp(REACH[0]):.2f} to "
+                f"{np.exp(REACH[1]):.2f}: its unit looks wrong. {_units_of(raw, middle)}"
             ),
         )
 

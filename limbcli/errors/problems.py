@@ -43,10 +43,7 @@ def errors_of(problems: Iterable[Problem]) -> list[Problem]:
 
 
 def raise_errors(
-    problems: Iterable[Problem],
-    family: type[AnyError],
-    *,
-    then: str = "then `limbcli check CASE` to be sure",
+    problems: Iterable[Problem], family: type[AnyError], *, then: str = "then `limbcli check CASE` to be sure"
 ) -> None:
     """Raise one error that carries every problem of severity "error", if there is any.
 
@@ -63,10 +60,7 @@ def raise_errors(
         raise family(first.what, where=first.where, fix=first.fix, **facts)
     listed = "".join(f"\n{k}. {each}" for k, each in enumerate(found, 1))
     raise family(
-        f"{len(found)} problems:{listed}",
-        where=first.where,
-        fix=f"correct them all, {then}",
-        **facts,
+        f"{len(found)} problems:{listed}", where=first.where, fix=f"correct them all, {then}", **facts
     )
 
 

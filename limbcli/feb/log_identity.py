@@ -17,10 +17,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
 
-import numpy as np
-
 from limbcli.errors import SolveError
-from limbcli.feb.outline import Outline
+from limbcli.feb.outline import Outline, finite_number
 
 _HEAD_LINES = 20_000  # lines at the start of a log that may repeat the input
 _DIGITS = 2e-5  # relative tolerance of numbers printed with six digits
@@ -69,18 +67,10 @@ def read_echo(lines: Iterable[str]) -> Echo:
         elif inside and (found := _MATERIAL.match(line)):
             values = echo.materials.setdefault(int(found[1]), {})
         elif values is not None and (found := _VALUE.match(line)):
-            number = _finite(found[2])
+            number = finite_number(found[2])
             if number is not None:
                 values[found[1]] = number
     return echo
-
-
-def _finite(text: str) -> float | None:
-    try:
-        number = float(text)
-    except ValueError:
-        return None
-    return number if np.isfinite(number) else None
 
 
 def check_belongs(log: Path, feb: Path, outline: Outline, *, by_mark: bool = False) -> None:

@@ -177,12 +177,13 @@ def _materials(root: Tag) -> dict[int, dict[str, float]]:
             found[int(number)] = {
                 each.name: value
                 for each in tag
-                if not each.attributes and (value := _plain_number(each.text)) is not None
+                if not each.attributes and (value := finite_number(each.text)) is not None
             }
     return found
 
 
-def _plain_number(text: str) -> float | None:
+def finite_number(text: str) -> float | None:
+    """The number that a text states; None if it states none, or one that is not finite."""
     try:
         value = float(text)
     except ValueError:

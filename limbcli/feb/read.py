@@ -23,13 +23,7 @@ from limbcli.feb.read_contact import read_contacts
 from limbcli.feb.read_control import read_steps
 from limbcli.feb.read_distributed_loads import read_distributed_loads
 from limbcli.feb.read_material import MaterialSection, read_materials
-from limbcli.feb.read_mesh import (
-    DEFAULT_RULES,
-    MeshSection,
-    read_mesh,
-    read_mesh_data,
-    refuse_repeated,
-)
+from limbcli.feb.read_mesh import DEFAULT_RULES, MeshSection, read_mesh, read_mesh_data, refuse_repeated
 from limbcli.feb.read_output import read_output
 from limbcli.feb.rigid_centres import with_centres
 from limbcli.feb.units import scaled, units_scale
@@ -116,21 +110,11 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
     if plot_variables:
         info["plot_variables"] = list(plot_variables)
     model = LimbModel(
-        mesh=_with_empty_sets(mesh.mesh, info),
-        materials=materials.materials,
-        domains=domains,
-        bodies=tuple(read_loads.tie(bodies, ties).values()),
-        supports=supports,
-        drives=drives,
-        springs=springs,
-        contacts=contacts,
-        curves=curves,
-        steps=steps,
-        records=records,
-        info=info,
-        fibres=_fibres(element_maps),
-        loads=loads,
-    )
+        mesh=_with_empty_sets(mesh.mesh, info), materials=materials.materials, domains=domains,
+        bodies=tuple(read_loads.tie(bodies, ties).values()), supports=supports, drives=drives,
+        springs=springs, contacts=contacts, curves=curves, steps=steps, records=records, info=info,
+        fibres=_fibres(element_maps), loads=loads,
+    )  # fmt: skip
     return model, must_curves
 
 
@@ -203,9 +187,7 @@ def _domain(
     name, material = tag.attribute("name"), tag.attribute("mat")
     block = next((each for each in mesh.mesh.blocks if each.name == name), None)
     if block is None:
-        raise tag.problem(
-            f"there is no <Elements> section {name!r}", fix="add it, or correct the name", follows=True
-        )
+        raise tag.missing(f"<Elements> section {name!r}")
     if tag.name == "SolidDomain" and not block.is_solid:
         raise tag.problem(f"{name!r} holds {block.kind} shells", fix="use <ShellDomain>")
     if material in bodies:  # rigid: neither formulation nor integration matters
@@ -213,9 +195,7 @@ def _domain(
         bodies[material] = replace(bodies[material], blocks=(*bodies[material].blocks, name))
         return []
     if material not in materials.materials:
-        raise tag.problem(
-            f"there is no material {material!r}", fix="add it, or correct the name", follows=True
-        )
+        raise tag.missing(f"material {material!r}")
     if tag.name == "ShellDomain":
         raise tag.problem("shells of deformable material are not supported", fix="use solid elements")
     _refuse_other_maps(tag, name, materials.materials[material])

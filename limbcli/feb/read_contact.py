@@ -5,20 +5,15 @@ from __future__ import annotations
 from typing import Literal, cast
 
 from limbcli.feb.read_loads import Scene, flag
-from limbcli.feb.read_mesh import refuse_repeated
+from limbcli.feb.read_mesh import ADD_TO_MESH, refuse_repeated
 from limbcli.feb.xml import Tag
 from limbcli.model.bodies import Contact
 
 # FEBio's defaults of sliding-elastic for missing tags (FESlidingElasticInterface).
 CONTACT_DEFAULTS = {
-    "penalty": 1.0,
-    "tolerance": 0.1,
-    "gaptol": 0.0,
-    "search_radius": 1.0,
-    "fric_coeff": 0.0,
-    "knmult": 0.0,
+    "penalty": 1.0, "tolerance": 0.1, "gaptol": 0.0, "search_radius": 1.0, "fric_coeff": 0.0, "knmult": 0.0,
     "search_tol": 0.01,
-}
+}  # fmt: skip
 CONTACT_MORE = (
     "seg_up", "tension", "minaug", "maxaug", "node_reloc", "smooth_aug", "flip_primary", "flip_secondary",
     "shell_bottom_primary", "shell_bottom_secondary", "offset",
@@ -48,16 +43,13 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
     )
     pair = tag.attribute("surface_pair")
     if pair not in scene.mesh.pairs:
-        raise tag.problem(
-            f"there is no surface pair {pair!r}", fix="add it to <Mesh>, or correct the name", follows=True
-        )
+        raise tag.missing(f"surface pair {pair!r}", ADD_TO_MESH)
     primary, secondary = scene.mesh.pairs[pair]
     numbers, curves = dict(CONTACT_DEFAULTS), dict[str, str | None]()
     for name in CONTACT_DEFAULTS:
         child = tag.child(name)
         if child is not None and name in ("penalty", "gaptol"):
-            child.allow(attributes=("lc",))
-            numbers[name], curves[name] = child.number(attributes=("lc",)), scene.curve(child)
+            numbers[name], curves[name] = scene.number(child)
         elif child is not None:
             numbers[name] = child.number()
     return Contact(

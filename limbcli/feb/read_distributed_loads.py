@@ -13,6 +13,7 @@ from collections.abc import Callable
 
 from limbcli.feb.amounts import Amount, against
 from limbcli.feb.read_loads import Scene, flag
+from limbcli.feb.read_mesh import ADD_TO_MESH
 from limbcli.feb.xml import Tag
 from limbcli.model import Load
 from limbcli.numbers.math_expressions import Formula
@@ -52,10 +53,8 @@ def _pressure(tag: Tag, scene: Scene) -> list[Load]:
         attributes=("name", "type", "surface"),
         children=("pressure", "linear", "symmetric_stiffness", "shell_bottom"),
     )
-    value = tag.need("pressure")
-    value.allow(attributes=("lc", "type"))
-    amount = value.amounts(1, attributes=("lc",))
-    return [Load("pressure", _surface(tag, scene), amount, scene.curve(value), flag(tag, "linear"))]
+    amount, curve = scene.amounts(tag.need("pressure"), 1)
+    return [Load("pressure", _surface(tag, scene), amount, curve, flag(tag, "linear"))]
 
 
 def _traction(tag: Tag, scene: Scene) -> list[Load]:
@@ -64,12 +63,8 @@ def _traction(tag: Tag, scene: Scene) -> list[Load]:
     )
     vector, scale = tag.need("traction"), tag.child("scale")
     vector.allow(attributes=("type",))
-    factor: Amount = 1.0
-    if scale is not None:
-        scale.allow(attributes=("lc", "type"))
-        (factor,) = scale.amounts(1, attributes=("lc",))
+    (factor,), curve = ((1.0,), None) if scale is None else scene.amounts(scale, 1)
     value = tuple(_times(factor, each) for each in vector.amounts(3))
-    curve = scene.curve(scale) if scale is not None else None
     return [Load("traction", _surface(tag, scene), value, curve, flag(tag, "linear"))]
 
 
@@ -99,27 +94,22 @@ def _surface(tag: Tag, scene: Scene) -> str:
     _refuse_flag(tag, "shell_bottom", "shells of deformable material are not supported")
     name = tag.attribute("surface")
     if name not in scene.mesh.mesh.surfaces:
-        raise tag.problem(
-            f"there is no surface {name!r}", fix="add it to <Mesh>, or correct the name", follows=True
-        )
+        raise tag.missing(f"surface {name!r}", ADD_TO_MESH)
     return name
 
 
 def _nodal_force(tag: Tag, scene: Scene) -> list[Load]:
     tag.allow(attributes=("name", "type", "node_set"), children=("value", "relative", "shell_bottom"))
-    value = tag.need("value")
-    value.allow(attributes=("lc", "type"))
-    force = value.amounts(3, attributes=("lc",))
-    return [Load("nodal force", _nodes(tag, scene), force, scene.curve(value))]
+    force, curve = scene.amounts(tag.need("value"), 3)
+    return [Load("nodal force", _nodes(tag, scene), force, curve)]
 
 
 def _nodal_load(tag: Tag, scene: Scene) -> list[Load]:
     tag.allow(attributes=("name", "type", "node_set"), children=("dof", "scale", "relative"))
-    scale = tag.need("scale")
-    scale.allow(attributes=("lc", "type"))
-    dof, (amount,) = tag.need("dof").choice(_AXES), scale.amounts(1, attributes=("lc",))
+    dof = tag.need("dof").choice(_AXES)
+    (amount,), curve = scene.amounts(tag.need("scale"), 1)
     force = tuple(amount if axis == dof else 0.0 for axis in _AXES)
-    return [Load("nodal force", _nodes(tag, scene), force, scene.curve(scale))]
+    return [Load("nodal force", _nodes(tag, scene), force, curve)]
 
 
 def _nodes(tag: Tag, scene: Scene) -> str:
@@ -136,20 +126,17 @@ def _const(tag: Tag, scene: Scene) -> list[Load]:
     for k, axis in enumerate(_AXES):
         child = tag.child(axis)
         if child is not None:
-            child.allow(attributes=("lc", "type"))
-            (amount,) = child.amounts(1, attributes=("lc",))
+            (amount,), curve = scene.amounts(child, 1)
             if amount:
-                by_curve.setdefault(scene.curve(child), [0.0] * 3)[k] = -amount
+                by_curve.setdefault(curve, [0.0] * 3)[k] = -amount
     block = _block(tag, scene)
     return [Load("body force", block, tuple(value), curve) for curve, value in by_curve.items()]
 
 
 def _body_force(tag: Tag, scene: Scene) -> list[Load]:
     tag.allow(attributes=("name", "type", "elem_set"), children=("force",))
-    force = tag.need("force")
-    force.allow(attributes=("lc", "type"))
-    value = tuple(against(force.amounts(3, attributes=("lc",))))
-    return [Load("body force", _block(tag, scene), value, scene.curve(force))]
+    force, curve = scene.amounts(tag.need("force"), 3)
+    return [Load("body force", _block(tag, scene), tuple(against(force)), curve)]
 
 
 def _block(tag: Tag, scene: Scene) -> str:
@@ -173,12 +160,8 @@ def _refuse_flag(tag: Tag, name: str, why: str) -> None:
 
 
 _READERS: dict[tuple[str, str], Callable[[Tag, Scene], list[Load]]] = {
-    ("surface_load", "pressure"): _pressure,
-    ("surface_load", "traction"): _traction,
-    ("surface_load", "force"): _force,
-    ("nodal_load", "nodal_force"): _nodal_force,
-    ("nodal_load", "nodal_load"): _nodal_load,
-    ("body_load", "const"): _const,
-    ("body_load", "non-const"): _const,
-    ("body_load", "body force"): _body_force,
-}
+    ("surface_load", "pressure"): _pressure, ("surface_load", "traction"): _traction,
+    ("surface_load", "force"): _force, ("nodal_load", "nodal_force"): _nodal_force,
+    ("nodal_load", "nodal_load"): _nodal_load, ("body_load", "const"): _const,
+    ("body_load", "non-const"): _const, ("body_load", "body force"): _body_force,
+}  # fmt: skip

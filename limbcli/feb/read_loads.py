@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, cast
 
 from limbcli.errors import SolveError
+from limbcli.feb.amounts import Amount
 from limbcli.feb.read_mesh import MeshSection
 from limbcli.feb.xml import Tag
 from limbcli.model import Curve, NodeMap, Support
@@ -41,19 +42,25 @@ class Scene:
         if name is None:
             return None
         if name not in self.curves:
-            raise tag.problem(f"there is no load controller {name}", fix="add it to <LoadData>", follows=True)
+            raise tag.missing(f"load controller {name}", "add it to <LoadData>")
         return self.curves[name]
 
     def body(self, tag: Tag) -> str:
         """The rigid body, named or given by its material's id (FEBio, FEFileSection::parseEnumParam)."""
         name = self.materials.get(tag.text, tag.text) if tag.text.isdigit() else tag.text
         if name not in self.bodies:
-            raise tag.problem(
-                f"there is no rigid body {tag.text!r}",
-                fix=f"name one of {sorted(self.bodies)}, or add it",
-                follows=True,
-            )
+            raise tag.missing(f"rigid body {tag.text!r}", f"name one of {sorted(self.bodies)}, or add it")
         return name
+
+    def number(self, tag: Tag) -> tuple[float, str | None]:
+        """A number, and the load curve that multiplies it."""
+        tag.allow(attributes=("lc",))
+        return tag.number(attributes=("lc",)), self.curve(tag)
+
+    def amounts(self, tag: Tag, count: int) -> tuple[tuple[Amount, ...], str | None]:
+        """Numbers or formulas, and the load curve that multiplies them."""
+        tag.allow(attributes=("lc", "type"))
+        return tag.amounts(count, attributes=("lc",)), self.curve(tag)
 
 
 # ---------------------------------------------------------------- LoadData
@@ -264,8 +271,7 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
         if load_type is not None and load_type.constant() not in ("LOAD", "0"):
             raise load_type.problem(f"{load_type.text!r} is not supported", fix="use LOAD")
     tag.allow(attributes=("name", "type"), children=children)
-    value = tag.need("value")
-    value.allow(attributes=("lc",))
+    value, curve = scene.number(tag.need("value"))
     dofs = {"displacement": {"x": "x", "y": "y", "z": "z"}}.get(
         kind,
         {
@@ -278,8 +284,8 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
         body=scene.body(tag.need("rb")),
         dof=_dof(tag.need("dof"), dofs, by_number=kind in ("force", "moment")),  # type: ignore[arg-type]
         kind=cast(Literal["displacement", "rotation", "force", "moment"], kind),
-        value=value.number(attributes=("lc",)),
-        curve=scene.curve(value),
+        value=value,
+        curve=curve,
         relative=flag(tag, "relative"),
     )
 
@@ -291,10 +297,7 @@ def _rotation_vector(tag: Tag, scene: Scene) -> list[Drive]:
     drives = []
     for name, dof in (("vx", "u"), ("vy", "v"), ("vz", "w")):
         child = tag.child(name)
-        if child is not None:
-            child.allow(attributes=("lc",))
-        value = 0.0 if child is None else child.number(attributes=("lc",))
-        curve = None if child is None else scene.curve(child)
+        value, curve = (0.0, None) if child is None else scene.number(child)
         drives.append(Drive(body, dof, "rotation", value, curve))  # type: ignore[arg-type]
     return drives
 

@@ -156,13 +156,13 @@ def _value(tag: Tag, names: _Names) -> Value:
     if curve is None:
         return value
     if curve not in names.curves:
-        raise tag.problem(f"there is no load controller {curve}", fix="add it to <LoadData>", follows=True)
+        raise tag.missing(f"load controller {curve}", "add it to <LoadData>")
     return Curved(value, names.curves[curve])
 
 
 def _map(tag: Tag, name: str, names: _Names, *, vectors: bool = False) -> ElementMap:
     if name not in names.maps:
-        raise tag.problem(f"there is no element map {name!r}", fix="add it to <MeshData>", follows=True)
+        raise tag.missing(f"element map {name!r}", "add it to <MeshData>")
     if (names.maps[name].values.ndim == 2) != vectors:
         kind = "vec3" if vectors else "scalar"
         raise tag.problem(f"the map {name!r} is not one of {kind}s", fix=f'name a map of data_type="{kind}"')

@@ -22,6 +22,7 @@ DEFAULT_RULES = (None, "TET10G8", "TET10G8_S7", "HEX8G8", "PENTA6G6")
 _SECTIONS = (
     "Nodes", "Elements", "NodeSet", "Surface", "SurfacePair", "ElementSet", "Edge", "PartList", "DiscreteSet",
 )  # fmt: skip
+ADD_TO_MESH = "add it to <Mesh>, or correct the name"
 _FACETS = ("tri3", "tri6", "quad4")
 _NAMES = (
     ("Nodes", "NodeSet"),
@@ -53,11 +54,7 @@ class Numbering:
             at = int(np.argmax(numbers.ravel() < 0))
             missing = int(ids.ravel()[at])
             tag = _row(tag, at // ids.shape[1]) if ids.ndim == 2 and len(list(tag)) == len(ids) else tag
-            raise tag.problem(
-                f"there is no {kind} {missing}",
-                fix=f"name only {kind}s that the <Mesh> defines",
-                follows=True,
-            )
+            raise tag.missing(f"{kind} {missing}", f"name only {kind}s that the <Mesh> defines")
         return numbers
 
 
@@ -86,9 +83,7 @@ class MeshSection:
         kind, _, source = name.rpartition(":") if name.startswith("@") else ("", "", name)
         nodes = self._nodes_of(tag, kind, source)
         if nodes is None:
-            raise tag.problem(
-                f"there is no node set {name!r}", fix="add it to <Mesh>, or correct the name", follows=True
-            )
+            raise tag.missing(f"node set {name!r}", ADD_TO_MESH)
         if kind != "@part_list" and source in sets:
             return source
         made = source if kind != "@part_list" else f"nodes of {source}"
@@ -131,9 +126,7 @@ class MeshSection:
             if block.name == name:
                 return start + np.arange(len(block.cells))
             start += len(block.cells)
-        raise tag.problem(
-            f"there is no element set {name!r}", fix="add it to <Mesh>, or correct the name", follows=True
-        )
+        raise tag.missing(f"element set {name!r}", ADD_TO_MESH)
 
     def block_of(self, tag: Tag, elem_set: str) -> str:
         """The block whose cells the element set lists completely and in order."""
@@ -329,9 +322,7 @@ def _pairs(tag: Tag, surfaces: Mapping[str, Surface]) -> dict[str, tuple[str, st
         with each.goes_on():
             for name in names:
                 if name not in surfaces:
-                    raise each.problem(
-                        f"there is no surface {name!r}", fix="add it to <Mesh>, or correct the name"
-                    )
+                    raise each.missing(f"surface {name!r}", ADD_TO_MESH)
             pairs[each.attribute("name")] = names
     return pairs
 

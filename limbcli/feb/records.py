@@ -55,7 +55,7 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
             where=str(path),
             fix="run the simulation again; if it recurs, check the end of model.log",
         ) from error
-    blocks = [_block(part, path) for part in text.split("*Step")[1:]]
+    blocks = [_block(part) for part in text.split("*Step")[1:]]
     whole = [block is not None and block.rows.size > 0 for block in blocks]
     truncated = bool(blocks) and (not whole[-1] or not text.endswith("\n"))
     kept = [block for block in (blocks[:-1] if truncated else blocks) if block is not None]
@@ -100,7 +100,7 @@ class _Block:
     rows: Array
 
 
-def _block(text: str, path: Path) -> _Block | None:
+def _block(text: str) -> _Block | None:
     """One block after its `*Step`, or None if it is incomplete or cannot be read."""
     lines = text.split("\n", 3)
     if len(lines) < 4 or not lines[1].startswith("*Time") or not lines[2].startswith("*Data"):

@@ -19,10 +19,7 @@ from limbcli.model.bodies import RigidBody
 
 
 def with_centres(
-    bodies: Mapping[str, RigidBody],
-    without: Collection[str],
-    mesh: Mesh,
-    thicknesses: Mapping[str, Array],
+    bodies: Mapping[str, RigidBody], without: Collection[str], mesh: Mesh, thicknesses: Mapping[str, Array]
 ) -> dict[str, RigidBody]:
     """The bodies, those named in `without` with the centre of their elements.
 

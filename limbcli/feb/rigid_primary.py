@@ -59,7 +59,7 @@ def _nodes_of_surface(root: Tag, name: str) -> set[str]:
 def _rigid_parts(root: Tag) -> set[str]:
     """Ids of the nodes of rigid elements without penalty of their own, and of no other element."""
     materials = {
-        each.get("name"): _has_stiffness(each)
+        each.get("name"): _number(each.findtext("E"), 1.0) != 0  # with a penalty of its own
         for each in root.element.iterfind("Material/material")
         if each.get("type") == "rigid body"
     }
@@ -74,20 +74,13 @@ def _rigid_parts(root: Tag) -> set[str]:
     for part in root.element.iterfind("Mesh/Elements"):
         domain = domains.get(part.get("name"))
         mat = domain.get("mat") if domain is not None else None
-        flat = (part.get("type") or "").lower().startswith(_SHELLS) and part.get("name") not in thick
-        if domain is not None and mat in materials and (not materials[mat] or (flat and _is_flat(domain))):
+        shell = (part.get("type") or "").lower().startswith(_SHELLS) and part.get("name") not in thick
+        flat = domain is not None and shell and _number(domain.findtext("shell_thickness"), 0.0) == 0
+        if domain is not None and mat in materials and (flat or not materials[mat]):
             rigid |= _words(part)
         else:
             other |= _words(part)
     return rigid - other
-
-
-def _has_stiffness(material: etree._Element) -> bool:
-    return _number(material.findtext("E"), 1.0) != 0
-
-
-def _is_flat(domain: etree._Element) -> bool:
-    return _number(domain.findtext("shell_thickness"), 0.0) == 0
 
 
 def _number(text: str | None, default: float) -> float:

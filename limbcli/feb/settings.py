@@ -144,16 +144,9 @@ def robust_step(plan: Schedule, element: str) -> Step:
         "max_ups": 10,
     }
     return Step(
-        n_steps=plan.n_steps,
-        step_size=FIRST_STEP_S,
-        analysis="static",
-        dt_min=SMALLEST_STEP_S,
-        dt_max=LARGEST_STEP_S,
-        must_points=plan.times,
-        max_retries=8,
-        opt_iterations=25,
-        control=control,
-    )
+        n_steps=plan.n_steps, step_size=FIRST_STEP_S, analysis="static", dt_min=SMALLEST_STEP_S,
+        dt_max=LARGEST_STEP_S, must_points=plan.times, max_retries=8, opt_iterations=25, control=control,
+    )  # fmt: skip
 
 
 USUAL_PENALTY = 20.0  # multiple of the tissue's stiffness with which FEBio converges for tet4 and tet10

@@ -9,17 +9,7 @@ from dataclasses import replace
 
 from limbcli.errors import CaseError
 from limbcli.feb.xml import UNITS, Tag, units_of
-from limbcli.model import (
-    Curved,
-    ElementMap,
-    LimbModel,
-    Load,
-    Material,
-    NodeMap,
-    Step,
-    Support,
-    Value,
-)
+from limbcli.model import Curved, ElementMap, LimbModel, Load, Material, NodeMap, Step, Support, Value
 from limbcli.model.bodies import Contact, Drive, RigidBody, Spring
 from limbcli.numbers.math_expressions import Formula
 from limbcli.numbers.units import SYSTEMS

@@ -14,7 +14,7 @@ from markupsafe import Markup
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
 from limbcli.feb.amounts import against, amounts, has_formulas
-from limbcli.feb.ids import Ids, element_maps, give_ids, node_maps, number, vector
+from limbcli.feb.ids import element_maps, give_ids, node_maps, number, vector
 from limbcli.feb.info import INFO_MARK
 from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES, IGNORED
 from limbcli.feb.views import (
@@ -99,11 +99,9 @@ def _environment(templates: Path | None) -> jinja2.Environment:
         autoescape=True,
         keep_trailing_newline=True,
     )
-    environment.filters["number"] = number
-    environment.filters["vector"] = vector
-    environment.filters["amounts"] = amounts
-    environment.filters["against"] = against
-    environment.filters["formulas"] = has_formulas
+    environment.filters |= {
+        "number": number, "vector": vector, "amounts": amounts, "against": against, "formulas": has_formulas,
+    }  # fmt: skip
     environment.tests["float_like"] = lambda value: isinstance(value, Real)
     return environment
 
@@ -122,11 +120,11 @@ def _context(model: LimbModel) -> dict[str, Any]:
         "curve_ids": ids.curves,
         "records": record_views(model, ids),
         "plot_variables": list(model.info.get("plot_variables", ())),
-        **_mesh_context(model, ids),
+        **_mesh_context(model),
     }
 
 
-def _mesh_context(model: LimbModel, ids: Ids) -> dict[str, Any]:
+def _mesh_context(model: LimbModel) -> dict[str, Any]:
     mesh = model.mesh
     return {
         "nodes": node_rows(mesh.points),

@@ -26,29 +26,11 @@ LARGEST_ID = 50_000_000  # largest accepted id of a node or an element
 # The sections of a model file (FEBio 4.11, FEBioImport::BuildFileSectionMap)
 SECTIONS = frozenset(
     [
-        "Module",
-        "Globals",
-        "Output",
-        "Control",
-        "Material",
-        "Mesh",
-        "MeshDomains",
-        "Include",
-        "Initial",
-        "Boundary",
-        "Loads",
-        "Contact",
-        "Discrete",
-        "Constraints",
-        "Code",
-        "MeshData",
-        "LoadData",
-        "Rigid",
-        "Step",
-        "MeshAdaptor",
-        "Geometry",
+        "Module", "Globals", "Output", "Control", "Material", "Mesh", "MeshDomains", "Include", "Initial",
+        "Boundary", "Loads", "Contact", "Discrete", "Constraints", "Code", "MeshData", "LoadData", "Rigid",
+        "Step", "MeshAdaptor", "Geometry",
     ]
-)
+)  # fmt: skip
 _GZIP_MAGIC = b"\x1f\x8b"
 _LARGEST = 500_000_000  # largest accepted size of a model's text (bytes)
 _PLAIN_NAME = re.compile(r"\w[\w .+()-]{0,119}", re.ASCII)
@@ -90,14 +72,13 @@ class Tag:
         """The error to raise for this tag; follows : what it misses may itself have been refused."""
         more = {"follows": True} if follows else {}
         return CaseError(
-            f"<{self.name}>: {what}",
-            where=f"{self.file}, line {self.line}",
-            fix=fix,
-            tag=self.name,
-            line=self.line,
-            file=str(self.file),
-            **more,
-        )
+            f"<{self.name}>: {what}", where=f"{self.file}, line {self.line}", fix=fix, tag=self.name,
+            line=self.line, file=str(self.file), **more,
+        )  # fmt: skip
+
+    def missing(self, what: str, fix: str = "add it, or correct the name") -> CaseError:
+        """The error to raise where what this tag names is nowhere; that may itself have been refused."""
+        return self.problem(f"there is no {what}", fix=fix, follows=True)
 
     def goes_on(self) -> AbstractContextManager[None]:
         """Collects what is refused within, or lets it through if nothing is collected."""

@@ -64,18 +64,12 @@ def atomic_folder(target: Path, *, is_new: bool = False) -> Iterator[Path]:
     """
     with file_system_errors(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
-        target.parent.mkdir(parents=True, exist_ok=True)
-        clear_partial(target.parent)
-        partial = _beside(target)
-        partial.mkdir()
-        try:
+        with _empty_beside(target) as partial:
             yield partial
             if is_new:
                 _put_where_nothing_is(partial, target)
             else:
                 _put_in_place(partial, target)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
 
 
 @contextlib.contextmanager
@@ -86,17 +80,23 @@ def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
     systems replace one name at a time: a kill during the replacement leaves part of the old set, so the file
     named `last`, which is replaced last, should hold the hashes of the others.
     """
-    with file_system_errors(folder):
-        folder.mkdir(parents=True, exist_ok=True)
-        clear_partial(folder)
-        partial = _beside(folder / "set")
-        partial.mkdir()
-        try:
-            yield partial
-            for each in sorted(partial.iterdir(), key=lambda path: (path.name == last, path.name)):
-                _put_in_place(each, folder / each.name)
-        finally:
-            shutil.rmtree(partial, ignore_errors=True)
+    with file_system_errors(folder), _empty_beside(folder / "set") as partial:
+        yield partial
+        for each in sorted(partial.iterdir(), key=lambda path: (path.name == last, path.name)):
+            _put_in_place(each, folder / each.name)
+
+
+@contextlib.contextmanager
+def _empty_beside(target: Path) -> Iterator[Path]:
+    """An empty folder beside the target, without remains of interrupted runs; removed in the end."""
+    target.parent.mkdir(parents=True, exist_ok=True)
+    clear_partial(target.parent)
+    partial = _beside(target)
+    partial.mkdir()
+    try:
+        yield partial
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
 
 
 def _beside(target: Path) -> Path:

@@ -6,7 +6,10 @@ characters in them, and a spreadsheet must not take a cell for a formula.
 
 from __future__ import annotations
 
+import csv
 import unicodedata
+from collections.abc import Iterable
+from pathlib import Path
 
 _FORMULA = "=+-@"  # beginnings that spreadsheets take for a formula (OWASP, CSV injection)
 # marks that reverse the direction of what follows (Unicode 15, UAX 9)
@@ -54,3 +57,11 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return text == text.strip()
+
+
+def write_rows(path: Path, header: Iterable[str], rows: Iterable[Iterable[object]]) -> None:
+    """Write a table for spreadsheets as CSV, its cells as `text_cell` has them."""
+    with path.open("w", newline="", encoding="utf-8") as stream:
+        table = csv.writer(stream)
+        table.writerow(header)
+        table.writerows([text_cell(each) for each in row] for row in rows)

@@ -52,6 +52,14 @@ class _Compiled(jinja2.BytecodeCache):
 COMPILED = _Compiled()
 
 
+def plain_text_templates(folder: Path) -> jinja2.Environment:
+    """limbcli's own templates of plain text."""
+    return jinja2.Environment(
+        loader=jinja2.FileSystemLoader(folder), undefined=jinja2.StrictUndefined, trim_blocks=True,
+        keep_trailing_newline=True,
+    )  # fmt: skip
+
+
 def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, Any], *, ours: str) -> str:
     """Render a template. ours : location of limbcli's own templates, for comparison in the message
 

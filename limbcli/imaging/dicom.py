@@ -198,14 +198,8 @@ def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str,
 def _kind(dataset: Dataset) -> tuple[str, ...]:
     """Properties that images of one series share, regardless of their UIDs."""
     names = (
-        "SeriesNumber",
-        "Modality",
-        "Rows",
-        "Columns",
-        "EchoTime",
-        "ImageOrientationPatient",
-        "PixelSpacing",
-    )
+        "SeriesNumber", "Modality", "Rows", "Columns", "EchoTime", "ImageOrientationPatient", "PixelSpacing",
+    )  # fmt: skip
     return tuple(str(dataset.get(name, "")) for name in names)
 
 
@@ -216,14 +210,10 @@ def _same_shape(slices: list[Slice], folder: Path) -> None:
             where=str(folder),
             fix="put every slice of the series into the folder",
         )
-    kinds = Counter((each.pixels.shape, tuple(np.round(each.pixel_spacing, 4))) for each in slices)
-    if len(kinds) > 1:
-        usual = kinds.most_common(1)[0][0]
-        odd = [
-            each.name
-            for each in slices
-            if (each.pixels.shape, tuple(np.round(each.pixel_spacing, 4))) != usual
-        ]
+    kinds = [(each.pixels.shape, tuple(np.round(each.pixel_spacing, 4))) for each in slices]
+    if len(set(kinds)) > 1:
+        ((usual, _),) = Counter(kinds).most_common(1)
+        odd = [each.name for each, kind in zip(slices, kinds, strict=True) if kind != usual]
         raise CaseError(
             f"{len(odd)} of {len(slices)} images differ in size or Pixel Spacing (0028,0030): {_some(odd)}",
             where=str(folder),

@@ -53,8 +53,7 @@ def compare_frames(labels: Volume, image: Volume, *, where: str, up_to_skin: boo
         off = np.linalg.norm(_middle(labels) - _middle(image))
         what = (
             f"the label map has the MRI's matrix but a different position: voxels {_size(labels.spacing)} "
-            f"mm, "
-            f"not {_size(image.spacing)} mm; middle {off:.1f} mm off"
+            f"mm, not {_size(image.spacing)} mm; middle {off:.1f} mm off"
         )
         return Agreement(True, None, (Problem(what, where, _FIX),))
     limb = np.isin(labels.values, (SOFT_TISSUE, BONE, FAT))

@@ -71,13 +71,9 @@ class Meaning:
         >>> Meaning(BONE, "tibia").words, Meaning(OUTSIDE).words, Meaning(SOFT_TISSUE).words
         ('bone (tibia)', 'ignored', 'soft tissue')
         """
-        kind = {
-            OUTSIDE: "ignored",
-            SOFT_TISSUE: "soft tissue",
-            BONE: "bone",
-            MARKER: "marker",
-            FAT: "fat",
-        }[self.label]
+        kind = {OUTSIDE: "ignored", SOFT_TISSUE: "soft tissue", BONE: "bone", MARKER: "marker", FAT: "fat"}[
+            self.label
+        ]
         return f"{kind} ({self.bone})" if self.bone else kind
 
 

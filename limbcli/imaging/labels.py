@@ -15,13 +15,7 @@ from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
-from limbcli.imaging.nifti import (
-    NIFTI_DAMAGED,
-    label_names_of,
-    one_geometry,
-    open_nifti,
-    require_placement,
-)
+from limbcli.imaging.nifti import NIFTI_DAMAGED, label_names_of, one_geometry, open_nifti, require_placement
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.signed_distance import filled_by_slice, largest
 from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
@@ -54,18 +48,6 @@ def write_labels(path: Path, labels: Volume) -> None:
             whole.replace(partial)
         finally:
             whole.unlink(missing_ok=True)
-
-
-def read_labels(path: Path) -> Volume:
-    """Read a label map in our numbers from NIfTI, in patient LPS.
-
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, is not three-dimensional, lacks its position in the patient frame, or
-        contains values other than 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat.
-    """
-    return checked_labels(read_nifti_labels(path)[0], path)
 
 
 def read_nifti_labels(path: Path) -> tuple[Volume, dict[int, str]]:

@@ -121,11 +121,8 @@ def _unreadable(path: Path, error: BaseException) -> CaseError:
 def _scalar(image: nib.Nifti1Image, path: Path) -> None:
     kind = image.get_data_dtype()
     if kind.names is not None:
-        what, fix = (
-            f"the image holds colours ({'/'.join(kind.names)}), not a signal",
-            ("export the grey values"),
-        )
-        raise CaseError(what, where=str(path), fix=fix)
+        what = f"the image holds colours ({'/'.join(kind.names)}), not a signal"
+        raise CaseError(what, where=str(path), fix="export the grey values")
     if kind.kind == "c":
         what = "the image holds complex numbers"
         raise CaseError(what, where=str(path), fix="export its magnitude")

@@ -149,14 +149,9 @@ def _extent(
 
 
 def _outlines(
-    axes: Axes,
-    found: Segmentation,
-    markers: NDArray[np.bool_],
-    grey: Volume,
-    k: int,
-    across: SliceAxis,
+    axes: Axes, found: Segmentation, markers: NDArray[np.bool_], grey: Volume, k: int, across: SliceAxis,
     down: SliceAxis,
-) -> None:
+) -> None:  # fmt: skip
     """Draw contours of the working masks, in the coordinates of the shown axes."""
     masks = [] if found.fat is None else [(found.fat, _FAT, 0.4)]
     masks += [(found.skin, _SKIN, 0.9)]

@@ -17,10 +17,10 @@ from limbcli.errors import CaseError, MeshError
 from limbcli.files.atomic import atomic_file
 from limbcli.imaging.signed_distance import box_around, signed_distance
 from limbcli.imaging.volume import Volume
+from limbcli.meshing import surfaces
 from limbcli.meshing.meshlab import open_pymeshlab
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
-from limbcli.surface_formats.triangle_files import read_triangles
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the triangles, as usual
 SMOOTH = 0.7  # mm: standard deviation of the Gaussian smoothing of the distance field
@@ -154,29 +154,8 @@ def write_surface(path: Path, surface: Triangles) -> None:
 
 
 def read_surface(path: Path) -> Triangles:
-    """Read triangles from an STL, PLY, OBJ or 3MF file, in patient LPS and mm, and merge coincident points.
-
-    Raises
-    ------
-    CaseError
-        If the file is not a surface or has no triangles.
-    """
-    fix = "save it again as STL, PLY or OBJ with triangles"
-    try:
-        points, faces = read_triangles(path)
-    except OSError as error:
-        raise CaseError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
-    if not len(faces) or not np.isfinite(points).all():
-        what = (
-            "the surface contains no triangles"
-            if not len(faces)
-            else "a point of the surface is not a number"
-        )
-        raise CaseError(what, where=str(path), fix=fix)
-    surface = joined(Triangles(points, faces))
-    if not len(surface.faces):
-        raise CaseError("the surface's triangles have no area", where=str(path), fix=fix)
-    return surface
+    """Triangles from a file, in patient LPS and mm, coincident points joined; CaseError if there are none."""
+    return surfaces.read_surface(path, merge=joined, error_type=CaseError)
 
 
 def once(triangles: IntArray) -> IntArray:

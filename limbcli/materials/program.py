@@ -192,9 +192,7 @@ def _checked(material: Material, law: Law, name: str) -> dict[str, Value]:
     unknown = sorted(set(given) - known)
     if unknown:
         raise _problem(
-            name,
-            f"law {material.law!r} has no parameter {unknown[0]!r}",
-            f"use {', '.join(sorted(known))}",
+            name, f"law {material.law!r} has no parameter {unknown[0]!r}", f"use {', '.join(sorted(known))}"
         )
     missing = [key for key, default in law.parameters.items() if default is None and key not in given]
     missing += ["fiber"] if law.fiber and "fiber" not in given else []

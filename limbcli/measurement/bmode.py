@@ -99,9 +99,7 @@ def _darkest_behind(smooth: Array, first: int, step: float) -> tuple[int | None,
 
 
 def follow_bone(
-    images: Sequence[UltrasoundImage],
-    *,
-    bone: float | Sequence[float] | None = None,
+    images: Sequence[UltrasoundImage], *, bone: float | Sequence[float] | None = None
 ) -> list[BoneLine]:
     """The skin-bone distance at every level.
 

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
-from limbcli.errors.problems import Problem, checked, raise_errors
+from limbcli.errors.problems import Problem, checked, errors_of, raise_errors
 from limbcli.files.atomic import atomic_file
 from limbcli.measurement.number_table import RawTable, problem, read_table
 from limbcli.model import Array
@@ -198,7 +198,7 @@ def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
 def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
     """One map, if it is usable, and every problem (errors and warnings)."""
     table, problems = read_table(path, required=COLUMNS, optional=(), may_be_empty=True)
-    if table is None or any(each.severity == "error" for each in problems):
+    if table is None or errors_of(problems):
         return None, problems
     lateral, depth, speed = (table.numbers[name] for name in COLUMNS)
     swe = SweMap(lateral, depth, speed, path)

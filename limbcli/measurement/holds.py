@@ -83,7 +83,7 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
         )
     time, force = trace.time[good], trace.force[good]
     smooth = _smoothed(time, force, SMOOTHING_S)
-    stretches = _steady_stretches(time, smooth, 2 * tolerance)
+    stretches = _steady_stretches(smooth, 2 * tolerance)
     chosen = _longest_first(time, stretches, duration_s)
     if not chosen:
         longest = max((time[b] - time[a] for a, b in stretches), default=0.0)
@@ -109,7 +109,7 @@ def _smoothed(time: Array, force: Array, window_s: float) -> Array:
     return np.convolve(padded, np.full(n, 1.0 / n), mode="valid")
 
 
-def _steady_stretches(time: Array, force: Array, width: float) -> list[tuple[int, int]]:
+def _steady_stretches(force: Array, width: float) -> list[tuple[int, int]]:
     """All maximal index ranges [a, b] in which the force varies by at most `width` N."""
     high: deque[int] = deque()
     low: deque[int] = deque()

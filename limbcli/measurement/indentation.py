@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.errors import MeasurementError
-from limbcli.errors.problems import Problem, checked
+from limbcli.errors.problems import Problem, checked, errors_of
 from limbcli.measurement.layer_checks import LayerNoise, check_layers
 from limbcli.measurement.level_checks import (
     check_columns,
@@ -32,21 +32,9 @@ from limbcli.measurement.speed_noise import check_speed_noise
 from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
 
 __all__ = [
-    "OPTIONAL",
-    "REQUIRED",
-    "TEXTS",
-    "TRACE_OPTIONAL",
-    "TRACE_REQUIRED",
-    "LayerNoise",
-    "Levels",
-    "Trace",
-    "check_levels",
-    "check_trace",
-    "check_values",
-    "level_warnings",
-    "read_levels",
-    "read_trace",
-]
+    "OPTIONAL", "REQUIRED", "TEXTS", "TRACE_OPTIONAL", "TRACE_REQUIRED", "LayerNoise", "Levels", "Trace",
+    "check_levels", "check_trace", "check_values", "level_warnings", "read_levels", "read_trace",
+]  # fmt: skip
 
 REQUIRED = ("force_n", "depth_mm")
 OPTIONAL = (
@@ -77,18 +65,18 @@ def level_warnings(path: Path, *, noise: LayerNoise | None = None) -> tuple[str,
 def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels | None, list[Problem]]:
     """The levels, if they are usable, and every problem (errors and warnings)."""
     table, problems = read_table(path, required=REQUIRED, optional=OPTIONAL, texts=TEXTS)
-    if table is None or any(each.severity == "error" for each in problems):
+    if table is None or errors_of(problems):
         return None, problems
     levels = _levels(table, path)
     problems += check_count(levels, path)
     problems += check_phase(levels, table, path)
     problems += check_cycles(levels, table, path)
     problems += check_columns(levels, table, path)
-    if not any(each.severity == "error" for each in problems):
+    if not errors_of(problems):
         problems += check_layers(levels, path, lines=table.lines, noise=noise)
-    if not any(each.severity == "error" for each in problems):
+    if not errors_of(problems):
         speeds = check_swe(levels, table, path)
-        trusted = not any(each.severity == "error" for each in speeds)
+        trusted = not errors_of(speeds)
         problems += check_order(levels, table, path)
         problems += check_distance(levels, table, path, noise=noise)
         problems += check_zero(levels, table, path, noise=noise)

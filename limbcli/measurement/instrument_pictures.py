@@ -7,6 +7,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from limbcli.drawing import save_figure, save_picture
@@ -49,11 +50,8 @@ def draw_bone_lines(
         if k >= len(images):
             axes.set_axis_off()
             continue
-        region, line = images[k].main_region(), lines[k]
-        width = (region.right - region.left + 1) * region.mm_per_pixel_x
-        height = (region.bottom - region.top + 1) * region.mm_per_pixel_y
-        grey = images[k].grey[region.top : region.bottom + 1, region.left : region.right + 1]
-        axes.imshow(grey, cmap="gray", extent=(-width / 2, width / 2, height, 0), aspect="equal")
+        line = lines[k]
+        _show(axes, images[k])
         axes.plot([-5, 5], [line.distance, line.distance], color="tab:orange", lw=1.2)
         for name, found in borders.items():
             at = found[k].distance
@@ -69,13 +67,10 @@ def draw_bone_lines(
 
 def draw_pennation(image: UltrasoundImage, reading: PennationReading, path: Path) -> None:
     """Draw the image with the direction of each tile, and their mean."""
-    region = image.main_region()
-    width = (region.right - region.left + 1) * region.mm_per_pixel_x
-    height = (region.bottom - region.top + 1) * region.mm_per_pixel_y
-    figure = Figure(figsize=(6.5, 6.5 * height / width + 0.8), layout="constrained")
+    figure = Figure(layout="constrained")
     axes = figure.subplots()
-    grey = image.grey[region.top : region.bottom + 1, region.left : region.right + 1]
-    axes.imshow(grey, cmap="gray", extent=(-width / 2, width / 2, height, 0), aspect="equal")
+    width, height = _show(axes, image)
+    figure.set_size_inches(6.5, 6.5 * height / width + 0.8)
     angle = np.radians(reading.tile_deg)
     dx, dy = 1.8 * np.cos(angle), 1.8 * np.sin(angle)
     axes.plot(
@@ -88,6 +83,16 @@ def draw_pennation(image: UltrasoundImage, reading: PennationReading, path: Path
         f"spread {reading.spread_deg:.1f})",
     )  # fmt: skip
     save_picture(figure, path, dpi=130)
+
+
+def _show(axes: Axes, image: UltrasoundImage) -> tuple[float, float]:
+    """Draw an image's main region, centred below the probe; returns its width and height, mm."""
+    region = image.main_region()
+    width = (region.right - region.left + 1) * region.mm_per_pixel_x
+    height = (region.bottom - region.top + 1) * region.mm_per_pixel_y
+    grey = image.grey[region.top : region.bottom + 1, region.left : region.right + 1]
+    axes.imshow(grey, cmap="gray", extent=(-width / 2, width / 2, height, 0), aspect="equal")
+    return width, height
 
 
 def draw_speeds(maps: Sequence[SweMap], path: Path) -> None:

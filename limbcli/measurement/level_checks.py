@@ -104,8 +104,7 @@ def _skipped(before: int, now: int) -> str:
 # Physical limits: column, least, most, meaning and the usual mistake.
 _POSSIBLE: tuple[tuple[str, float, float, str], ...] = (
     ("force_n", MIN_FORCE, MAX_FORCE,
-     "N, compression positive; is it in grams (divide by 102), the sign "
-     "reversed, or a tare missing?"),
+     "N, compression positive; is it in grams (divide by 102), the sign reversed, or a tare missing?"),
     ("depth_mm", -1.0, _MAX_DEPTH, "mm; is it in micrometres, or the sign reversed?"),
     ("swe_sd_m_per_s", 0.0, _SPEED_HIGH_M_PER_S, "m/s; is it in cm/s?"),
     ("swe_pixels", 1.0, 1e7, "pixels"),

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.errors.problems import Problem, suggestion
+from limbcli.errors.problems import Problem, errors_of, suggestion
 from limbcli.model import Array
 
 _SHOWN_PER_FILE = 8
@@ -64,7 +64,7 @@ def read_table(
     numbered = [(line, row[:width]) for line, row in numbered]
     header = [cell.strip() for cell in numbered[0][1]]
     problems += _check_header(header, path, required=required, known={*required, *optional, *texts})
-    if any(each.severity == "error" for each in problems):
+    if errors_of(problems):
         return None, problems
     body = numbered[1:]
     if not body and not may_be_empty:

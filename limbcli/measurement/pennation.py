@@ -92,7 +92,7 @@ def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> Penn
             where=where,
             fix="give the depths of one muscle, or enter the angle manually ([[site.pennation]])",
         )
-    off = _difference(angle, mean)
+    off = np.mod(angle - mean + np.pi / 2, np.pi) - np.pi / 2  # of axes: within a quarter turn
     spread = float(np.degrees(np.sqrt(np.average(off**2, weights=coherence))))
     return PennationReading(
         angle_deg=float(np.degrees(mean)),
@@ -131,8 +131,3 @@ def _axial_mean(angle: Array, weight: Array) -> tuple[float, float]:
     """
     total = np.sum(weight * np.exp(2j * angle)) / np.sum(weight)
     return float(np.angle(total) / 2), float(np.abs(total))
-
-
-def _difference(angle: Array, mean: float) -> Array:
-    """Difference of axes, within a quarter turn."""
-    return np.asarray(np.mod(angle - mean + np.pi / 2, np.pi) - np.pi / 2)

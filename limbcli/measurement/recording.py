@@ -19,11 +19,19 @@ from limbcli.measurement.column_units import factor, is_unit, matches, quantity,
 from limbcli.measurement.number_table import number_of, shown
 from limbcli.measurement.sheet import Sheet, cell, csv_sheet, text_of
 from limbcli.measurement.tdms import is_tdms, tdms_sheet
-from limbcli.measurement.trace import LONGEST_S, RATES_HZ, Trace, block_means, rate_question
+from limbcli.measurement.trace import (
+    LONGEST_S,
+    RATES_HZ,
+    TRACE_OPTIONAL,
+    TRACE_REQUIRED,
+    Trace,
+    block_means,
+    rate_question,
+)
 from limbcli.model import Array
 
 _AVERAGED_HZ = 1000.0  # rate to which records are averaged that are faster than plausible ones
-COLUMNS = ("time_s", "force_n", "depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
+COLUMNS = (*TRACE_REQUIRED, *TRACE_OPTIONAL)
 
 
 @dataclass(frozen=True)
@@ -88,23 +96,11 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     unit = form.time_unit or in_file
     averaged = ""
     if in_file is not None and (n := _fast(values["time_s"])):
-        values, averaged = (
-            {name: block_means(each, n) for name, each in values.items()},
-            f"means of {n} samples",
-        )
+        values = {name: block_means(each, n) for name, each in values.items()}
+        averaged = f"means of {n} samples"
     _check_rate(values["time_s"], path, unit)
-    axes = [values.get(f"accel_{axis}_g") for axis in "xyz"]
-    return Trace(
-        time=values["time_s"],
-        force=values["force_n"],
-        depth=values.get("depth_mm"),
-        probe_travel=values.get("probe_travel_mm"),
-        acceleration_g=np.column_stack([each for each in axes if each is not None])
-        if all(each is not None for each in axes)
-        else None,
-        path=path,
-        converted="; ".join(each for each in (_converted(sheet, positions, form), averaged) if each),
-    )
+    words = "; ".join(each for each in (_converted(sheet, positions, form), averaged) if each)
+    return Trace.of(values, path, converted=words)
 
 
 def _fast(time: Array) -> int:

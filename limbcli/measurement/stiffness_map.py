@@ -36,14 +36,9 @@ class Stiffnesses:
 
 
 def stiffness_at(
-    swe: SweMap,
-    points: Array,
-    *,
-    density_kg_per_m3: float = 1000.0,
-    smoothing: float = SMOOTHING,
-    fade: float = FADE,
-    half_elevation: float = np.inf,
-) -> Stiffnesses:
+    swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0, smoothing: float = SMOOTHING,
+    fade: float = FADE, half_elevation: float = np.inf,
+) -> Stiffnesses:  # fmt: skip
     """c at points of a site's model.
 
     Parameters
@@ -71,9 +66,10 @@ def stiffness_at(
     log_c = _smoothed(places, np.log(c), smoothing)
     at = np.column_stack([points[:, 0], -points[:, 2]])
     value = _interpolated(places, log_c, at, swe)
-    in_plane = _within(places, at)
+    in_plane = np.isfinite(LinearNDInterpolator(places, np.ones(len(places)))(at))  # in the convex hull
     beside = np.maximum(np.abs(points[:, 1]) - half_elevation, 0.0)
-    outside = np.maximum(cKDTree(places).query(at)[0] - _spacing(places), 0.0)
+    tree = cKDTree(places)
+    outside = np.maximum(tree.query(at)[0] - np.median(tree.query(places, k=2)[0][:, 1]), 0.0)
     away = np.hypot(np.where(in_plane, 0.0, outside), beside)
     weight = np.exp(-0.5 * (away / fade) ** 2)
     median = float(np.median(log_c))
@@ -104,12 +100,3 @@ def _interpolated(places: Array, values: Array, at: Array, swe: SweMap) -> Array
         )
     linear = LinearNDInterpolator(places, values)(at)
     return np.where(np.isnan(linear), NearestNDInterpolator(places, values)(at), linear)
-
-
-def _within(places: Array, at: Array) -> NDArray[np.bool_]:
-    """Whether each position (n, 2) lies in the convex hull of the pixels."""
-    return np.asarray(np.isfinite(LinearNDInterpolator(places, np.ones(len(places)))(at)))
-
-
-def _spacing(places: Array) -> float:
-    return float(np.median(cKDTree(places).query(places, k=2)[0][:, 1]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,7 +19,8 @@ RATES_HZ = (1.0, 10_000.0)  # of plausible records
 _SLACK = 1.01  # rates are of clocks, and of times that were rounded
 LONGEST_S = 7200.0  # of a plausible record
 TRACE_REQUIRED = ("time_s", "force_n")
-TRACE_OPTIONAL = ("depth_mm", "probe_travel_mm", "accel_x_g", "accel_y_g", "accel_z_g")
+ACCELERATION = ("accel_x_g", "accel_y_g", "accel_z_g")
+TRACE_OPTIONAL = ("depth_mm", "probe_travel_mm", *ACCELERATION)
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,6 +37,16 @@ class Trace:
     acceleration_g: Array | None
     path: Path
     converted: str = ""
+
+    @staticmethod
+    def of(columns: Mapping[str, Array], path: Path, *, converted: str = "") -> Trace:
+        """The record in columns by their names in trace.csv; acceleration only with all three of its axes."""
+        axes = [columns[name] for name in ACCELERATION if name in columns]
+        return Trace(
+            time=columns["time_s"], force=columns["force_n"], depth=columns.get("depth_mm"),
+            probe_travel=columns.get("probe_travel_mm"), path=path, converted=converted,
+            acceleration_g=np.column_stack(axes) if len(axes) == len(ACCELERATION) else None,
+        )  # fmt: skip
 
     def since(self, time_s: float) -> Trace:
         """The part of the record after a time."""
@@ -97,7 +109,7 @@ def read_trace(path: Path) -> Trace:
 def check_trace(path: Path) -> tuple[Trace | None, list[Problem]]:
     """The trace, if it is usable, and every problem."""
     table, problems = read_table(path, required=TRACE_REQUIRED, optional=TRACE_OPTIONAL)
-    if table is None or any(each.severity == "error" for each in problems):
+    if table is None or errors_of(problems):
         return None, problems
     time = table.numbers["time_s"]
     for k in np.flatnonzero(np.diff(time) <= 0)[:3]:
@@ -111,19 +123,7 @@ def check_trace(path: Path) -> tuple[Trace | None, list[Problem]]:
     if np.abs(table.numbers["force_n"]).max() > MAX_FORCE:
         what = f"force_n reaches {np.abs(table.numbers['force_n']).max():g} N"
         problems.append(problem(what, path, "the column is in N (is it in grams?)"))
-    accelerations = [f"accel_{axis}_g" for axis in "xyz"]
-    present = [name for name in accelerations if name in table.numbers]
-    if present and len(present) < len(accelerations):
-        missing = sorted(set(accelerations) - set(present))
+    missing = [name for name in ACCELERATION if name not in table.numbers]
+    if missing and len(missing) < len(ACCELERATION):
         problems.append(problem(f"{', '.join(missing)} is missing", path, "give all three axes or none"))
-    trace = Trace(
-        time=time,
-        force=table.numbers["force_n"],
-        depth=table.numbers.get("depth_mm"),
-        probe_travel=table.numbers.get("probe_travel_mm"),
-        acceleration_g=np.column_stack([table.numbers[n] for n in accelerations])
-        if len(present) == len(accelerations)
-        else None,
-        path=path,
-    )
-    return trace, problems
+    return Trace.of(table.numbers, path), problems

@@ -138,8 +138,7 @@ class UltrasoundImage:
                 f"the box {list(box)} lies in none of the image's calibrated regions ({places})",
                 where=self.where,
                 fix="correct box_pixels, or state the image region that contains it: image_pixels = [left, "
-                "top, "
-                "right, bottom], its top the probe face",
+                "top, right, bottom], its top the probe face",
             )
         return self._from_the_face(max(holding, key=_area))
 
@@ -174,7 +173,8 @@ def read_image(
         if not 0.005 <= mm_per_pixel <= 1.0:
             what = f"mm_per_pixel is {mm_per_pixel:g}; ultrasound images have 0.02 to 0.3"
             raise MeasurementError(what, where=str(path), fix="read it off the depth scale of the image")
-        regions = tuple(_at_scale(each, mm_per_pixel) for each in regions or (_whole(rgb),))
+        whole = Region(0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1, 1.0, 1.0)
+        regions = tuple(_at_scale(each, mm_per_pixel) for each in regions or (whole,))
     image = UltrasoundImage(rgb, regions, path, number)
     return image if box_pixels is None else _within(image, box_pixels)
 
@@ -197,10 +197,6 @@ def _frame_of(path: Path, count: int, wanted: int | None) -> int | None:
             n_frames=count,
         )
     return wanted if count > 1 else None
-
-
-def _whole(rgb: NDArray[np.uint8]) -> Region:
-    return Region(0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1, 1.0, 1.0)
 
 
 def _at_scale(region: Region, mm_per_pixel: float) -> Region:

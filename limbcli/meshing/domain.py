@@ -18,14 +18,7 @@ from skimage.measure import marching_cubes
 
 from limbcli.errors import MeshError
 from limbcli.meshing.crop import within
-from limbcli.meshing.distance import (
-    Field,
-    Grid,
-    distance_again,
-    grid_over,
-    rounded,
-    signed_distance,
-)
+from limbcli.meshing.distance import Field, Grid, distance_again, grid_over, rounded, signed_distance
 from limbcli.meshing.frame import closest_on_triangles
 from limbcli.meshing.mending import Limb, Plane
 from limbcli.meshing.surfaces import Triangles, join

@@ -11,6 +11,7 @@ import numpy as np
 from limbcli.errors import MeshError
 from limbcli.meshing.quality import EDGES
 from limbcli.meshing.regions import quadratic
+from limbcli.meshing.site_mesher import boundary_faces
 from limbcli.model import Block, CellKind, IntArray, LimbModel, Mesh, Surface
 
 _CORNERS = {"tet10": 4, "tri6": 3}
@@ -87,7 +88,8 @@ def _quadratic(model: LimbModel) -> LimbModel:
     soft = np.unique(solid)
     surfaces = {name: _with_middles(each, middles, rim, soft) for name, each in mesh.surfaces.items()}
     faces = [facets for each in surfaces.values() for kind, facets in each.facets.items() if kind == "tri6"]
-    boundary = np.concatenate([*faces, _boundary(solid, middles, rim)])
+    outer = boundary_faces(solid)
+    boundary = np.concatenate([*faces, np.hstack([outer, middles(outer, rim)])])
     sets = {name: _completed(nodes, boundary) for name, nodes in mesh.node_sets.items()}
     return _with_records(replace(model, mesh=Mesh(points, blocks, sets, surfaces)))
 
@@ -100,16 +102,6 @@ def _with_middles(surface: Surface, middles: object, rim: IntArray, soft: IntArr
         else:
             facets[kind] = each
     return Surface(surface.name, facets)
-
-
-def _boundary(solid: IntArray, middles: object, rim: IntArray) -> IntArray:
-    """The facets that belong to one cell only, as tri6: (n, 6)."""
-    faces = np.concatenate(
-        [solid[:, [0, 2, 1]], solid[:, [0, 1, 3]], solid[:, [1, 2, 3]], solid[:, [0, 3, 2]]]
-    )
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    outer = faces[first[count == 1]]
-    return np.hstack([outer, middles(outer, rim)])  # type: ignore[operator]
 
 
 def _completed(nodes: IntArray, facets: IntArray) -> IntArray:

@@ -170,6 +170,3 @@ def keep_unfolded(before: Array, after: Array, faces: IntArray, *, rounds: int =
             return x
         x[bad] = before[bad]
     return x
-
-
-# ---------------------------------------------------------------- kernels

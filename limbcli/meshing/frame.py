@@ -229,31 +229,39 @@ def skin_point_at(limb: Limb, angle_deg: float, height: float, *, where: str = "
         If the limb has no skin at that height.
     """
     axis = proximal_direction(limb)
-    skin = limb.skin
-    along = skin.points @ axis
-    level = along.min() + height
-    anterior = np.array([0.0, -1.0, 0.0])
-    anterior -= (anterior @ axis) * axis
-    anterior /= np.linalg.norm(anterior)
-    left = np.cross(axis, anterior)
-    of_face = along[skin.faces]
-    crossing = (of_face.min(axis=1) <= level) & (of_face.max(axis=1) >= level)
-    if not crossing.any():
+    along = limb.skin.points @ axis
+    found = cut_across(limb.skin, axis, float(along.min()) + height)
+    if found is None:
         raise CaseError(
             f"there is no skin {height:g} mm above the limb's distal end",
             where=where,
             fix=f"give a height of 0 to {np.ptp(along):.0f} mm",
         )
-    corners = skin.corners[crossing]
-    weights = skin.areas[crossing]
-    middle = np.average(corners.mean(axis=1), axis=0, weights=weights)
-    middle += (level - middle @ axis) * axis
-    angle = np.radians(angle_deg)
-    direction = np.cos(angle) * anterior + np.sin(angle) * left
+    middle, corners = found
+    direction = around(axis, np.radians(angle_deg))
     hits = ray_hits(middle, direction, corners)
     if not len(hits):
         raise CaseError(f"no skin at {angle_deg:g} degrees", where=where, fix="choose another angle")
     return middle + hits.max() * direction
+
+
+def around(axis: Array, angle: float) -> Array:
+    """Unit vector (3,) across a limb at an angle (rad): 0 anterior (-y of LPS), pi/2 the patient's left."""
+    anterior = np.array([0.0, -1.0, 0.0])
+    anterior -= (anterior @ axis) * axis
+    anterior /= np.linalg.norm(anterior)
+    return np.asarray(np.cos(angle) * anterior + np.sin(angle) * np.cross(axis, anterior))
+
+
+def cut_across(skin: Triangles, axis: Array, height: float) -> tuple[Array, Array] | None:
+    """The centre (3,) of a cross section, and the corners (n, 3, 3) of the triangles that it cuts."""
+    along = (skin.points @ axis)[skin.faces]
+    crossing = (along.min(axis=1) <= height) & (along.max(axis=1) >= height)
+    if not crossing.any():
+        return None
+    cut = skin.part(crossing)
+    middle = np.average(cut.centroids, axis=0, weights=cut.areas)
+    return middle + (height - middle @ axis) * axis, cut.corners
 
 
 def ray_hits(start: Array, direction: Array, corners: Array) -> Array:

@@ -57,14 +57,9 @@ def put_back(points: Array, constraints: NodeConstraints, domain: TissueDomain, 
 
 
 def smooth(
-    points: Array,
-    cells: IntArray,
-    constraints: NodeConstraints,
-    domain: TissueDomain,
-    *,
-    goal_deg: float = 25.0,
-    passes: int = 12,
-) -> Array:
+    points: Array, cells: IntArray, constraints: NodeConstraints, domain: TissueDomain, *,
+    goal_deg: float = 25.0, passes: int = 12,
+) -> Array:  # fmt: skip
     """Move the nodes of cells with a dihedral angle below `goal_deg`, so that the worst cells improve."""
     corners = np.ascontiguousarray(cells[:, :4])
     order, start = bucketed(corners.ravel(), len(points))
@@ -228,19 +223,9 @@ def _put_all_back(
 
 @njit
 def _smooth(
-    x: Any,
-    cells: Any,
-    star: Any,
-    start: Any,
-    codes: Any,
-    skin: Any,
-    bone: Any,
-    origin: Any,
-    spacing: float,
-    planes: Any,
-    goal: float,
-    passes: int,
-) -> None:
+    x: Any, cells: Any, star: Any, start: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float,
+    planes: Any, goal: float, passes: int,
+) -> None:  # fmt: skip
     np.random.seed(7)  # noqa: NPY002 (numba knows no Generator here)
     g = np.empty(3)
     rounds = np.int64(3)  # not a literal: see `materials.cache`

@@ -120,19 +120,11 @@ class _Leg:
             return None
         height = self.frame.height(bone.points)
         low, high = float(height.min()), float(height.max())
-        return (
-            low if low > self.bottom + AT_CUT_MM else None,
-            high if high < self.top - AT_CUT_MM else None,
-        )
+        return (low if low > self.bottom + AT_CUT_MM else None, high if high < self.top - AT_CUT_MM else None)
 
 
 def limb_parts(
-    frame: LimbFrame,
-    skin: Triangles,
-    bones: Mapping[str, Triangles],
-    *,
-    top: float,
-    bottom: float = -np.inf,
+    frame: LimbFrame, skin: Triangles, bones: Mapping[str, Triangles], *, top: float, bottom: float = -np.inf
 ) -> LimbParts:
     """Patches of the skin and landmarks that this limb's bones define.
 
@@ -195,10 +187,6 @@ def _crest(leg: _Leg, heights: Array) -> tuple[Array, Array]:
     return np.interp(heights, table[:, 0], smooth[0]), np.interp(heights, table[:, 0], smooth[1])
 
 
-def _point(frame: LimbFrame, height: float, aside: float, ahead: float) -> Array:
-    return np.asarray(frame.origin + height * frame.axis + aside * frame.lateral + ahead * frame.anterior)
-
-
 def _fibular_head(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     ends, fibula = leg.ends_of("fibula"), bone_named(leg.bones, "fibula")
     if ends is None or fibula is None:
@@ -217,7 +205,10 @@ def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_
     plateau = _plateau(leg)
     low = plateau - TUBEROSITY_MM
     aside, ahead = (float(each[0]) for each in _crest(leg, np.array([low])))
-    landmarks["tibial_tuberosity"] = _point(leg.frame, low, aside, ahead)
+    frame = leg.frame
+    landmarks["tibial_tuberosity"] = (
+        frame.origin + low * frame.axis + aside * frame.lateral + ahead * frame.anterior
+    )
     patella = bone_named(leg.bones, "patella")
     if patella is None:
         raise _MissingPart("no bone is named patella, from whose lower pole the tendon runs")
@@ -283,10 +274,5 @@ def _distal_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
     return np.asarray(height < min(bones))
 
 
-_PLACED = dict(
-    zip(
-        PATCHES,
-        (_fibular_head, _patellar_tendon, _tibial_end, _tibial_crest, _popliteal, _distal_end),
-        strict=True,
-    )
-)
+_PLACES = (_fibular_head, _patellar_tendon, _tibial_end, _tibial_crest, _popliteal, _distal_end)
+_PLACED = dict(zip(PATCHES, _PLACES, strict=True))

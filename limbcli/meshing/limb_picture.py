@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -23,20 +22,14 @@ _SKIN = "#ead8cc"
 
 
 def limb_picture(
-    path: Path,
-    frame: LimbFrame,
-    skin: Triangles,
-    parts: LimbParts,
-    *,
-    sites: Mapping[str, Array] | None = None,
-    title: str,
-) -> None:
+    path: Path, frame: LimbFrame, skin: Triangles, parts: LimbParts, *,
+    sites: Mapping[str, Array] | None = None, title: str,
+) -> None:  # fmt: skip
     """Write PNG and SVG: the limb from the front, its lateral side, the back and its medial side.
 
     Look for patches over their bones; bad is one on the wrong side, or a limb that stands on its head.
     """
     figure = Figure(figsize=(12, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
     views = (
         ("from the front", frame.anterior), ("from the lateral side", frame.lateral),
         ("from behind", -frame.anterior), ("from the medial side", -frame.lateral),

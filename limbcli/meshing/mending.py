@@ -130,11 +130,6 @@ def largest_and_fragments(skin: Triangles) -> tuple[Triangles, list[Triangles]]:
     return join([largest, *inside]) if outside else skin, outside
 
 
-def lies_within(outer: Triangles, inner: Triangles) -> bool:
-    """Whether most of a body lies within another, in its box and below its surface."""
-    return _holds(outer, inner)
-
-
 def without_cavities(pieces: Sequence[Triangles]) -> list[Triangles]:
     """The bodies, largest first, except those inside another.
 
@@ -142,12 +137,12 @@ def without_cavities(pieces: Sequence[Triangles]) -> list[Triangles]:
     """
     kept: list[Triangles] = []
     for each in pieces:
-        if not any(_holds(other, each) for other in kept):
+        if not any(lies_within(each, other) for other in kept):
             kept.append(each)
     return kept
 
 
-def _holds(outer: Triangles, inner: Triangles) -> bool:
+def lies_within(inner: Triangles, outer: Triangles) -> bool:
     """Whether a body lies inside another, and not on its surface like a duplicate of the same body."""
     low, high = outer.points.min(axis=0), outer.points.max(axis=0)
     if not ((inner.points >= low) & (inner.points <= high)).all():
@@ -157,12 +152,9 @@ def _holds(outer: Triangles, inner: Triangles) -> bool:
 
 def _without_strays(pieces: list[Triangles], notes: list[str], name: str) -> list[Triangles]:
     """The pieces that are bodies: large, or closed and not tiny."""
-    size = np.linalg.norm(np.ptp(pieces[0].points, axis=0))
-    kept = []
-    for each in pieces:
-        extent = np.linalg.norm(np.ptp(each.points, axis=0))
-        if len(each.faces) >= 4 and extent > _STRAY_EXTENT * size:
-            kept.append(each)
+    extent = [np.linalg.norm(np.ptp(each.points, axis=0)) for each in pieces]
+    large = [len(p.faces) >= 4 and x > _STRAY_EXTENT * extent[0] for p, x in zip(pieces, extent, strict=True)]
+    kept = [each for each, is_large in zip(pieces, large, strict=True) if is_large]
     if not kept:
         raise MeshError("the surface has no body", where=name, fix="give a nearly closed triangle surface")
     dropped = sum(len(each.faces) for each in pieces) - sum(len(each.faces) for each in kept)

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.figure import Figure
 
@@ -19,21 +18,14 @@ _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 
 
 def mesh_picture(
-    mesh: Mesh,
-    probe: ProbeShape,
-    figures: MeshQuality,
-    path: Path,
-    *,
-    title: str,
-    start_depth: float,
+    mesh: Mesh, probe: ProbeShape, figures: MeshQuality, path: Path, *, title: str, start_depth: float,
     sides: tuple[str, str],
-) -> None:
+) -> None:  # fmt: skip
     """Write PNG and SVG. Look for small cells under the probe and correctly placed bones; spikes are a fault.
 
     sides : sides of the patient towards which x and y point
     """
     figure = Figure(figsize=(10, 8), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(2, 2)
     draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth, sides=sides)
     draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth, sides=sides)

@@ -91,15 +91,9 @@ def _tetgen(points: Array, faces: IntArray, options: dict[str, Any]) -> tuple[Ar
     for each in options.pop("holes", ()):
         maker.add_hole(each)
     out = maker.tetrahedralize(
-        nobisect=True,
-        quiet=True,
-        nowarning=True,
-        nomergefacet=True,
-        opt_max_flip_level=9,
-        opt_scheme=7,
-        opt_iterations=5,
-        **options,
-    )
+        nobisect=True, quiet=True, nowarning=True, nomergefacet=True, opt_max_flip_level=9, opt_scheme=7,
+        opt_iterations=5, **options,
+    )  # fmt: skip
     return np.array(out[0], float), np.array(out[1], np.int64)
 
 

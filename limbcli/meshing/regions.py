@@ -49,14 +49,9 @@ def reachable(points: Array, faces: IntArray, probe: ProbeShape) -> Array:
 
 
 def assemble(
-    volume: VolumeMesh,
-    layers: IntArray,
-    names: tuple[str, ...],
-    probe: ProbeShape,
-    rigid: ProbeMesh,
-    *,
+    volume: VolumeMesh, layers: IntArray, names: tuple[str, ...], probe: ProbeShape, rigid: ProbeMesh, *,
     element: str,
-) -> Mesh:
+) -> Mesh:  # fmt: skip
     """Tissue and probe as one mesh with its named sets.
 
     layers (n_cells,) gives the index of each cell's block in `names` (such as tissue, fat, skin).
@@ -75,7 +70,9 @@ def assemble(
         name: Surface(name, facets(faces[keep], middle)) for name, keep in chosen.items() if keep.any()
     }
     sets: dict[str, IntArray] = {
-        name: _nodes(surfaces[name]) for name in ("bone", "cut", "skin") if name in surfaces
+        name: np.unique(np.concatenate([each.ravel() for each in surfaces[name].facets.values()]))
+        for name in ("bone", "cut", "skin")
+        if name in surfaces
     }
     held = [sets[name] for name in ("bone", "cut") if name in sets]
     sets["fixed"] = np.unique(np.concatenate(held)) if held else np.zeros(0, np.int64)
@@ -88,7 +85,3 @@ def assemble(
         Block(PROBE_TIPS, "tri3", rigid.tips + first),
     ]
     return Mesh(np.vstack([points, rigid.points]), tuple(blocks), sets, {**surfaces, "probe_face": face})
-
-
-def _nodes(surface: Surface) -> IntArray:
-    return np.unique(np.concatenate([each.ravel() for each in surface.facets.values()]))

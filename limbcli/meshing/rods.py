@@ -6,7 +6,7 @@ skin passes through it, and the centre lies one radius deeper. Its axis is that 
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -140,13 +140,13 @@ def rods_for(
     CaseError
         If a rod would protrude from the skin at its site.
     """
-    middles = {name: _middle(each, axis, radius) for name, each in seen.items()}
+    middles = {name: each.bone - radius * _unit(_across(each.normal, axis)) for name, each in seen.items()}
     across = np.array([_across(each, axis) for each in middles.values()])
     groups = [[list(seen)[k] for k in group] for group in _within_reach(across, radius)]
     inside = _inside(limb)
     found = []
     for group in groups:
-        centre = _mean([middles[name] for name in group])
+        centre = np.mean([middles[name] for name in group], axis=0)
         towards = _unit(_across(seen[group[0]].normal, axis))
         rod = Rod(centre, axis, radius, 0.0, 0.0, towards)
         here = -float(inside.at(_ring(rod, 0.0)).max())
@@ -176,14 +176,6 @@ def _within_reach(points: Array, reach: float) -> list[list[int]]:
     labels = np.empty(len(points), dtype=int)
     labels[order] = fcluster(linkage(points[order], "complete"), reach, "distance")
     return [np.flatnonzero(labels == each).tolist() for each in dict.fromkeys(labels.tolist())]
-
-
-def _middle(seen: BoneHit, axis: Array, radius: float) -> Array:
-    return seen.bone - radius * _unit(_across(seen.normal, axis))
-
-
-def _mean(points: Sequence[Array]) -> Array:
-    return np.asarray(np.mean(points, axis=0))
 
 
 def _across(vector: Array, axis: Array) -> Array:

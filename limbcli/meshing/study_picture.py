@@ -5,7 +5,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from limbcli.drawing import put_title, save_figure
@@ -13,21 +12,14 @@ from limbcli.meshing.mesh_extrapolation import Extrapolation
 
 
 def study_picture(
-    path: Path,
-    *,
-    sizes: list[tuple[float, float]],
-    margins: list[tuple[float, float]],
-    used: tuple[float, float],
-    extrapolation: Extrapolation,
-    depth: float,
-    title: str,
-) -> None:
+    path: Path, *, sizes: list[tuple[float, float]], margins: list[tuple[float, float]],
+    used: tuple[float, float], extrapolation: Extrapolation, depth: float, title: str,
+) -> None:  # fmt: skip
     """Plot the force (N) at full depth against edge length and against the margin beyond the probe.
 
     sizes, margins : (mm, N) pairs; used : (size, margin) of the model itself
     """
     figure = Figure(figsize=(11, 4.4), layout="constrained")
-    FigureCanvasAgg(figure)
     left, right = figure.subplots(1, 2)
     _curve(left, sizes, used[0], "edge length under the probe [mm]", depth, (extrapolation.limit,))
     left.axhline(extrapolation.limit, color="#777777", linestyle="--", linewidth=1)
@@ -43,13 +35,9 @@ def study_picture(
 
 
 def _curve(
-    axes: Any,
-    pairs: list[tuple[float, float]],
-    used: float,
-    label: str,
-    depth: float,
+    axes: Any, pairs: list[tuple[float, float]], used: float, label: str, depth: float,
     others: tuple[float, ...] = (0.0,),
-) -> None:
+) -> None:  # fmt: skip
     """others : further forces (N) that the axis must include"""
     x, force = zip(*sorted(pairs), strict=True)
     axes.plot(x, force, "o-", color="#1f4e79")

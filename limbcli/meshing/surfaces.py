@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from limbcli.errors import MeshError
+from limbcli.errors import CaseError, MeshError
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats.triangle_files import SUFFIXES, read_triangles
 
@@ -96,29 +97,36 @@ def join(surfaces: list[Triangles]) -> Triangles:
     )
 
 
-def read_surface(path: Path) -> Triangles:
+def read_surface(
+    path: Path,
+    *,
+    merge: Callable[[Triangles], Triangles] | None = None,
+    error_type: type[CaseError | MeshError] = MeshError,
+) -> Triangles:
     """Read a triangle surface (PLY, STL, OBJ, ...); in patient LPS and mm, as it states them.
+
+    Coincident points are merged by `merge` (None: `merge_points`).
 
     Raises
     ------
-    MeshError
+    error_type
         If the file is absent, holds no triangles, or a coordinate is not a number.
     """
     fix = f"give a triangle surface in one of the formats {', '.join(SUFFIXES)}"
     if not path.is_file():
-        raise MeshError("the surface file does not exist", where=str(path), fix=fix)
+        raise error_type("the surface file does not exist", where=str(path), fix=fix)
     try:
         points, faces = read_triangles(path)
     except OSError as error:
-        raise MeshError(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
+        raise error_type(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
     if not len(faces):
-        raise MeshError("the surface contains no triangles", where=str(path), fix=fix)
+        raise error_type("the surface contains no triangles", where=str(path), fix=fix)
     if not np.isfinite(points).all():
         bad = int(np.argwhere(~np.isfinite(points))[0, 0])
-        raise MeshError(f"point {bad} of the surface is not a number", where=str(path), fix=fix)
-    surface = merge_points(Triangles(points, faces))
+        raise error_type(f"point {bad} of the surface is not a number", where=str(path), fix=fix)
+    surface = (merge or merge_points)(Triangles(points, faces))
     if not len(surface.faces):
-        raise MeshError("the surface's triangles have no area", where=str(path), fix=fix)
+        raise error_type("the surface's triangles have no area", where=str(path), fix=fix)
     return surface
 
 

@@ -208,13 +208,9 @@ def _lines(model: LimbModel) -> Iterator[str]:
 
 
 def _step(
-    number: int,
-    step: Step,
-    supports: list[Support],
-    drives: list[Drive],
-    model: LimbModel,
+    number: int, step: Step, supports: list[Support], drives: list[Drive], model: LimbModel,
     references: Mapping[str, int],
-) -> Iterator[str]:
+) -> Iterator[str]:  # fmt: skip
     period = step.n_steps * step.step_size
     most = min(step.dt_max or step.step_size, period)
     if step.must_points:

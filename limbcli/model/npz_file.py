@@ -103,9 +103,7 @@ def load_model(path: Path) -> LimbModel:
         return found
     except _DAMAGED as error:
         raise CaseError(
-            f"the stored model cannot be read ({error})",
-            where=str(path),
-            fix="run `limbcli mesh CASE` again",
+            f"the stored model cannot be read ({error})", where=str(path), fix="run `limbcli mesh CASE` again"
         ) from error
 
 

@@ -18,14 +18,9 @@ Number = TypeVar("Number", float, "NDArray[np.float64]")
 GRAVITY_M_PER_S2 = 9.80665
 # Unit systems of FEBio model files (<units>): mm and N of their units of length and force; times are in s.
 SYSTEMS = {
-    "mm-N-s": (1.0, 1.0),
-    "SI": (1e3, 1.0),
-    "CGS": (10.0, 1e-5),
-    "mm-kg-s": (1.0, 1e-3),
-    "mm-g-s": (1.0, 1e-6),
-    "mm-mg-s": (1.0, 1e-9),
-    "um-nN-s": (1e-3, 1e-9),
-}
+    "mm-N-s": (1.0, 1.0), "SI": (1e3, 1.0), "CGS": (10.0, 1e-5), "mm-kg-s": (1.0, 1e-3),
+    "mm-g-s": (1.0, 1e-6), "mm-mg-s": (1.0, 1e-9), "um-nN-s": (1e-3, 1e-9),
+}  # fmt: skip
 
 
 def mpa_from_kpa(value_kpa: Number) -> Number:

@@ -77,11 +77,7 @@ def _plain(value: Any) -> str:
 
 
 def case_table(
-    *,
-    subject_id: str,
-    imaging: Mapping[str, Any],
-    sites: Sequence[Mapping[str, Any]],
-    element: str = "tet10",
+    *, subject_id: str, imaging: Mapping[str, Any], sites: Sequence[Mapping[str, Any]], element: str = "tet10"
 ) -> dict[str, Any]:
     """Content of case.toml, in the order of the case format."""
     return {

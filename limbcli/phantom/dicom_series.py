@@ -23,14 +23,9 @@ DATE = "20260101"
 
 
 def write_series(
-    folder: Path,
-    signal: Array,
-    grid: VoxelGrid,
-    *,
-    subject: str = "phantom",
-    seed: int = 0,
+    folder: Path, signal: Array, grid: VoxelGrid, *, subject: str = "phantom", seed: int = 0,
     implicit: bool = False,
-) -> list[Path]:
+) -> list[Path]:  # fmt: skip
     """Write `signal` (ni columns, nj rows, nk slices; >= 0) as files IM_0001.dcm, ... in `folder`.
 
     Files are numbered against the slice direction, so that sorting by name alone turns the limb upside down.

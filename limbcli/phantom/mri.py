@@ -18,15 +18,9 @@ from limbcli.progress import SILENT, Progress
 
 # Signal in arbitrary units, in the order of `Tissue`.
 SIGNAL = {
-    Tissue.AIR: 0.0,
-    Tissue.SKIN: 420.0,
-    Tissue.FAT: 980.0,
-    Tissue.MUSCLE: 360.0,
-    Tissue.CORTEX: 45.0,
-    Tissue.MARROW: 900.0,
-    Tissue.VESSEL: 110.0,
-    Tissue.MARKER: 1150.0,
-}
+    Tissue.AIR: 0.0, Tissue.SKIN: 420.0, Tissue.FAT: 980.0, Tissue.MUSCLE: 360.0, Tissue.CORTEX: 45.0,
+    Tissue.MARROW: 900.0, Tissue.VESSEL: 110.0, Tissue.MARKER: 1150.0,
+}  # fmt: skip
 NOISE = 14.0
 TEXTURE = 0.04
 BIAS = 0.12

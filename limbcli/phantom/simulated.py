@@ -51,15 +51,9 @@ class Indentation:
 
 
 def true_levels(
-    simulated: Indentation,
-    terms: OgdenTerms | None,
-    *,
-    protocol: LoadingProtocol,
-    skin_bone: float | None,
-    window: Window = Window(),
-    density_kg_per_m3: float = 1000.0,
-    speed: Speed | None = None,
-) -> TrueLevels:
+    simulated: Indentation, terms: OgdenTerms | None, *, protocol: LoadingProtocol, skin_bone: float | None,
+    window: Window = Window(), density_kg_per_m3: float = 1000.0, speed: Speed | None = None,
+) -> TrueLevels:  # fmt: skip
     """Depth and speed map at each force step that the simulation reaches.
 
     speed : wave speed of a law that `terms` cannot represent; `terms` is not needed then
@@ -90,15 +84,9 @@ def true_levels(
 
 
 def _map(
-    positions: Array,
-    F: Array,
-    terms: OgdenTerms | None,
-    speed_of: Speed | None,
-    *,
-    face_height: float,
-    window: Window,
-    density: float,
-) -> SweMap:
+    positions: Array, F: Array, terms: OgdenTerms | None, speed_of: Speed | None, *, face_height: float,
+    window: Window, density: float,
+) -> SweMap:  # fmt: skip
     """Speed map from the elements near the window only."""
     reach = window.half_width + 2 * window.smoothing
     near = (np.abs(positions[:, 0]) <= reach) & (

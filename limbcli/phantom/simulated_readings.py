@@ -67,15 +67,9 @@ def measure(
     layers = None if true.borders is None else _layers(true.borders, skin_bone, law.layer_mm, rng)
     travel_error = np.where(first | quiet, 0.0, TRAVEL_NOISE_MM * rng.standard_normal(n))
     return Readings(
-        force=force,
-        depth=depth,
-        maps=maps,
-        skin_bone=skin_bone,
-        hold=protocol.hold,
-        trace=trace,
-        layers=layers,
-        travel_error=travel_error,
-    )
+        force=force, depth=depth, maps=maps, skin_bone=skin_bone, hold=protocol.hold, trace=trace,
+        layers=layers, travel_error=travel_error,
+    )  # fmt: skip
 
 
 def _layers(borders: Array, skin_bone: Array | None, deviation: float, rng: np.random.Generator) -> Array:
@@ -125,16 +119,11 @@ def levels_rows(readings: Readings) -> tuple[list[str], list[list[str]]]:
         row = [f"{readings.force[k]:.6g}", f"{readings.depth[k]:.7g}", f"{found.mean_m_per_s:.6g}"]
         row += [f"{found.sd_m_per_s:.4g}", str(found.n_pixels), "load", f"{readings.hold:g}"]
         rows.append(row)
-    if readings.skin_bone is not None:
-        header.append("skin_bone_mm")
-        for k, row in enumerate(rows):
-            row.append(f"{readings.skin_bone[k]:.6g}")
-    if readings.travel is not None:
-        header.append("probe_travel_mm")
-        for k, row in enumerate(rows):
-            row.append(f"{readings.travel[k]:.6g}")
-    if readings.layers is not None:
-        header += LAYER_COLUMNS[: readings.layers.shape[1]]
-        for row, each in zip(rows, readings.layers, strict=True):
-            row += [f"{value:.6g}" for value in each]
+    layers = () if readings.layers is None else zip(LAYER_COLUMNS, readings.layers.T, strict=False)
+    more = {"skin_bone_mm": readings.skin_bone, "probe_travel_mm": readings.travel, **dict(layers)}
+    for name, values in more.items():
+        if values is not None:
+            header.append(name)
+            for row, value in zip(rows, values, strict=True):
+                row.append(f"{value:.6g}")
     return header, rows

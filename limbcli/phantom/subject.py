@@ -51,9 +51,6 @@ class Subject:
     def to_patient(self, points: Array) -> Array:
         return points @ self.patient_from_limb[:3, :3].T + self.patient_from_limb[:3, 3]
 
-    def to_limb(self, points: Array) -> Array:
-        return points @ self.limb_from_patient[:3, :3].T + self.limb_from_patient[:3, 3]
-
     def position(self, place: PhantomSite) -> Array:
         """The site's point on the skin, in the patient frame."""
         point, _ = self.anatomy.skin_point(angle_deg=place.angle_deg, height=place.height)

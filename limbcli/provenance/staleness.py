@@ -42,11 +42,7 @@ class BrokenLink:
     def error(self, case: Case, out: Path) -> CaseError:
         first = self.steps[0]
         return CaseError(
-            self.what,
-            where=self.where,
-            fix=self.fix(case, out),
-            stage=first.stage,
-            site=first.site,
+            self.what, where=self.where, fix=self.fix(case, out), stage=first.stage, site=first.site
         )
 
 

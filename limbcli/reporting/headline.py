@@ -30,15 +30,9 @@ NOT_IDENTIFIABLE = Headline("not identifiable")
 
 
 def headline(
-    value: float | None,
-    low: float | None,
-    high: float | None,
-    flag: str,
-    *,
-    unit: str = "",
-    bound: str = "",
+    value: float | None, low: float | None, high: float | None, flag: str, *, unit: str = "", bound: str = "",
     computed: bool = True,
-) -> Headline:
+) -> Headline:  # fmt: skip
     """The value, shown only if the data exclude others on both sides and it is not a bound of the search;
     else words.
 

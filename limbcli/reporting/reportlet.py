@@ -112,8 +112,8 @@ class Reportlet:
     n_above : number of further ones, which the page tells at its top
     """
 
-    key: str
-    title: str
+    key: str = ""
+    title: str = ""
     mood: Mood = "neutral"
     site: str | None = None
     _: KW_ONLY

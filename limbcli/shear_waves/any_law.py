@@ -22,14 +22,9 @@ from limbcli.model import Array, Curved, IntArray, Material, Value
 
 
 def acoustic_tensor(
-    material: Material,
-    deformation_gradient: Array,
-    direction: Array,
-    *,
-    cells: IntArray | None = None,
-    n_cells: int = 1,
-    viscous: bool = True,
-) -> Array:
+    material: Material, deformation_gradient: Array, direction: Array, *, cells: IntArray | None = None,
+    n_cells: int = 1, viscous: bool = True,
+) -> Array:  # fmt: skip
     """Q = J (c_ijkl + sigma_jl delta_ik) n_j n_l; its eigenvalues are rho0 v^2.
 
     Load curves are taken as 1. A viscoelastic law responds instantaneously (with the sum of its g_i), a

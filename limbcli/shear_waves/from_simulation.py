@@ -105,15 +105,10 @@ class NodeDisplacements:
 
 
 def level_maps(
-    model: LimbModel,
-    simulation: Simulation,
-    rows: Sequence[int] | IntArray,
-    *,
-    density_kg_per_m3: float,
-    window: Window = MEAN_WINDOW,
-    pixels: Sequence[tuple[Array, Array] | None] | None = None,
+    model: LimbModel, simulation: Simulation, rows: Sequence[int] | IntArray, *, density_kg_per_m3: float,
+    window: Window = MEAN_WINDOW, pixels: Sequence[tuple[Array, Array] | None] | None = None,
     face_depths: Array | None = None,
-) -> list[SweMap]:
+) -> list[SweMap]:  # fmt: skip
     """The map that the scanner would show at each row of the simulation's times (AT_REST: unloaded).
 
     It is evaluated at the integration points of the recorded elements, from the recorded displacements of

@@ -79,7 +79,11 @@ def predict_map(
     averages = pixel_averages(positions[known], (lateral, depth), face_height=face_height, window=window)
     inside = averages.inside
     if not inside.any():
-        raise _no_pixel(face_height)
+        raise MeasurementError(
+            "the scanner's window contains no tissue of the model",
+            where=f"shear-wave prediction, probe face at z = {face_height:.1f} mm",
+            fix="check that the positions are in the site's frame and in mm",
+        )
     speed = averages(speed_m_per_s[known])[inside]
     good = np.isfinite(speed) & (speed > 0)
     return SweMap(lateral[inside][good], depth[inside][good], speed[good])
@@ -131,14 +135,6 @@ def pixel_averages(
         return nothing
     offset = points[index[inside]] - targets[inside][:, None, :]
     return PixelAverages(inside, near[index[inside]], _local_linear(offset, sigma=sigma))
-
-
-def _no_pixel(face_height: float) -> MeasurementError:
-    return MeasurementError(
-        "the scanner's window contains no tissue of the model",
-        where=f"shear-wave prediction, probe face at z = {face_height:.1f} mm",
-        fix="check that the positions are in the site's frame and in mm",
-    )
 
 
 def _surrounded(

@@ -30,7 +30,8 @@ def element_speeds(model: LimbModel, F: Array, items: IntArray, *, density_kg_pe
     F : (n, 3, 3).
     """
     speed = np.full(len(items), np.nan)
-    first = dict(zip((b.name for b in model.mesh.blocks), _first_cells(model), strict=True))
+    ends = np.cumsum([len(block.cells) for block in model.mesh.blocks])
+    first = dict(zip((b.name for b in model.mesh.blocks), [0, *ends[:-1].tolist()], strict=True))
     for domain in model.domains:
         start, count = first[domain.block], len(model.mesh.block(domain.block).cells)
         here = np.flatnonzero((items >= start) & (items < start + count))
@@ -78,14 +79,11 @@ def material_speeds(
 
 
 def wave_speed_m_per_s(
-    deformation_gradient: Array,
-    terms: OgdenTerms,
-    *,
+    deformation_gradient: Array, terms: OgdenTerms, *,
     direction: tuple[float, float, float] = (1.0, 0.0, 0.0),
-    polarisation: tuple[float, float, float] = (0.0, 0.0, 1.0),
-    density_kg_per_m3: float = 1000.0,
+    polarisation: tuple[float, float, float] = (0.0, 0.0, 1.0), density_kg_per_m3: float = 1000.0,
     mode: Mode = "eigenmode",
-) -> Array:
+) -> Array:  # fmt: skip
     """Ogden family: speed of the shear wave along `direction` with the given `polarisation`.
 
     In the probe's frame the wave runs along x and is polarised along z (the beam). "polarised" is rho0 v^2 =
@@ -131,7 +129,3 @@ def shear_speed_m_per_s(
     density = units.tonne_per_mm3_from_kg_per_m3(density_kg_per_m3)
     speed = np.sqrt(np.where(modulus > 0, modulus, np.nan) / density)
     return units.m_per_s_from_mm_per_s(speed)
-
-
-def _first_cells(model: LimbModel) -> list[int]:
-    return [0, *np.cumsum([len(block.cells) for block in model.mesh.blocks])[:-1].tolist()]

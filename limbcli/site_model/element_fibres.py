@@ -80,7 +80,7 @@ def _site_fibres(case: Case, site: Site, model: LimbModel) -> SiteFibres:
         return _alike(rotation.T @ direction.axis, n, source, direction.deviation_deg)
     if case.imaging.fibres is None:
         return SiteFibres(None, DEFAULT_DIRECTION)
-    return _of_map(case, site, model, to_patient, model.mesh.points[block.cells].mean(axis=1))
+    return _of_map(case, site, to_patient, model.mesh.points[block.cells].mean(axis=1))
 
 
 def _alike(axis: Array, n: int, source: str, deviation_deg: float | None) -> SiteFibres:
@@ -92,7 +92,7 @@ def _long_axis(case: Case, orientation: str) -> str | tuple[float, float, float]
     return case.site(orientation).long_axis if is_site else orientation
 
 
-def _of_map(case: Case, site: Site, model: LimbModel, to_patient: Array, middles: Array) -> SiteFibres:
+def _of_map(case: Case, site: Site, to_patient: Array, middles: Array) -> SiteFibres:
     from limbcli.imaging.fibre_map import REACH, read_fibre_map  # nibabel, for these cases alone
 
     path = case.imaging.fibres

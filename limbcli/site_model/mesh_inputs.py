@@ -8,6 +8,7 @@ from limbcli.case import Case, Site
 from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import Requested
 from limbcli.results import StageResult, StageWriter
+from limbcli.site_model.segmented_limb import note_segmented
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,7 +29,5 @@ class MeshInputs:
     def note(self, writer: StageWriter, site: Site) -> None:
         """Record the inputs of one site's mesh."""
         self.of_case.into(writer)
-        surfaces = [name for name, path in self.segmented.files.items() if path.endswith(".ply")]
-        seen = [f"layers/{site.name}"] if self.layered else []
-        markers = ["markers"] if site.position is None else []
-        writer.used_result(self.segmented, files=surfaces, data=[*seen, *markers])
+        layered = [site.name] if self.layered else []
+        note_segmented(self.segmented, writer, layered=layered, markers=site.position is None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -10,8 +9,9 @@ from pathlib import Path
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.settings import schedule
+from limbcli.files.plain_text import write_rows
 from limbcli.meshing.mending import Limb
-from limbcli.meshing.mesh_extrapolation import Extrapolation, extrapolate
+from limbcli.meshing.mesh_extrapolation import extrapolate
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
@@ -57,19 +57,11 @@ class Variant:
 
 
 def study_site(
-    case: Case,
-    site: Site,
-    limb: Limb,
-    position: tuple[float, float, float],
-    options: MeshOptions,
-    *,
-    out: Path,
-    inputs: MeshInputs | None = None,
-    force_of: ForceOf | None = None,
-    size_factors: tuple[float, ...] = SIZE_FACTORS,
-    margin_factors: tuple[float, ...] = MARGIN_FACTORS,
+    case: Case, site: Site, limb: Limb, position: tuple[float, float, float], options: MeshOptions, *,
+    out: Path, inputs: MeshInputs | None = None, force_of: ForceOf | None = None,
+    size_factors: tuple[float, ...] = SIZE_FACTORS, margin_factors: tuple[float, ...] = MARGIN_FACTORS,
     progress: Progress = SILENT,
-) -> StageResult:
+) -> StageResult:  # fmt: skip
     """Compute the force at the deepest level for finer and coarser meshes and for smaller and larger models.
 
     All use the same tissue: that of the site's fit if there is one (as locking of linear elements depends on
@@ -146,14 +138,9 @@ def reference_force(model: LimbModel, depth: float, tissue: StudiedTissue = Stud
 
 
 def _report(
-    writer: StageWriter,
-    found: list[Variant],
-    options: MeshOptions,
-    depth: float,
-    tissue: StudiedTissue,
-    *,
+    writer: StageWriter, found: list[Variant], options: MeshOptions, depth: float, tissue: StudiedTissue, *,
     title: str,
-) -> None:
+) -> None:  # fmt: skip
     own = found[0]
     by_size = [own, *(each for each in found if each.varied == "size")]
     by_margin = [own, *(each for each in found if each.varied == "margin")]
@@ -161,7 +148,9 @@ def _report(
     farthest = max(by_margin, key=lambda each: each.margin)
     crop = abs(own.force - farthest.force) / abs(farthest.force)
     total = float((limit.error_fraction[0] ** 2 + crop**2) ** 0.5)
-    _write_table(writer.file("table", "study.csv"), found)
+    rows = ((x.varied, f"{x.size:g}", f"{x.margin:g}", x.n_cells, f"{x.force:.6f}") for x in found)
+    names = ("varied", "size_under_probe_mm", "margin_mm", "n_cells", "force_n")
+    write_rows(writer.file("table", "study.csv"), names, rows)
     study_picture(
         writer.file("picture", "study.png"),
         sizes=[(each.size, each.force) for each in by_size],
@@ -171,7 +160,13 @@ def _report(
         depth=depth,
         title=title,
     )
-    writer.data.update(_figures(limit, crop, total, own, options, depth, tissue))
+    writer.data.update(
+        depth_mm=depth, force_n=own.force, force_extrapolated_n=limit.limit, order=limit.order,
+        order_is_assumed=limit.order_is_assumed, size_error_fraction=limit.error_fraction[0],
+        crop_error_fraction=crop, numerical_error_fraction=total, element=options.element,
+        size_under_probe_mm=own.size, margin_mm=own.margin, c_kpa=kpa_from_mpa(tissue.c),
+        f_kappa=tissue.f_kappa, m=tissue.m, tissue_source=tissue.source,
+    )  # fmt: skip
     writer.summary.append(
         f"force at {depth:.2f} mm: {own.force:.3f} N; numerical error {100 * total:.1f} % "
         f"(element size {100 * limit.error_fraction[0]:.1f} %, crop {100 * crop:.1f} %) with f_kappa "
@@ -179,41 +174,3 @@ def _report(
     )
     if limit.order_is_assumed:
         writer.warnings.append("the force does not converge monotonically; the error includes a factor of 3")
-
-
-def _figures(
-    limit: Extrapolation,
-    crop: float,
-    total: float,
-    own: Variant,
-    options: MeshOptions,
-    depth: float,
-    tissue: StudiedTissue,
-) -> dict[str, object]:
-    return {
-        "depth_mm": depth,
-        "force_n": own.force,
-        "force_extrapolated_n": limit.limit,
-        "order": limit.order,
-        "order_is_assumed": limit.order_is_assumed,
-        "size_error_fraction": limit.error_fraction[0],
-        "crop_error_fraction": crop,
-        "numerical_error_fraction": total,
-        "element": options.element,
-        "size_under_probe_mm": own.size,
-        "margin_mm": own.margin,
-        "c_kpa": kpa_from_mpa(tissue.c),
-        "f_kappa": tissue.f_kappa,
-        "m": tissue.m,
-        "tissue_source": tissue.source,
-    }
-
-
-def _write_table(path: Path, found: list[Variant]) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(["varied", "size_under_probe_mm", "margin_mm", "n_cells", "force_n"])
-        for each in found:
-            rows.writerow(
-                [each.varied, f"{each.size:g}", f"{each.margin:g}", each.n_cells, f"{each.force:.6f}"]
-            )

@@ -24,13 +24,7 @@ import numpy as np
 from limbcli.effects.tissue import limb_axis
 from limbcli.feb.settings import FIRST_STEP_S, SECONDS_PER_MM, schedule, whole_steps
 from limbcli.model import Array, Curve, Curved, IntArray, LimbModel, Material
-from limbcli.site_model.indentation_model import (
-    TISSUE,
-    TRAVEL,
-    start_at,
-    starting_depth,
-    touched_first,
-)
+from limbcli.site_model.indentation_model import TISSUE, TRAVEL, start_at, starting_depth, touched_first
 from limbcli.site_model.site_layers import held_layers
 
 RAMP = "prestretch"  # name of the load curve of the prestretch

@@ -2,18 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from limbcli.case import Site
 from limbcli.errors import CaseError
 from limbcli.meshing.mending import Limb, mend
-from limbcli.meshing.surfaces import read_surface
-from limbcli.results import StageResult
+from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.results import StageResult, StageWriter
+
+
+def named_surfaces(segmented: StageResult) -> tuple[Triangles, dict[str, Triangles]]:
+    """The skin, and the bones by name, written by `segment`."""
+    names = sorted(name for name in segmented.files if name.startswith("bone_"))
+    bones = {name: read_surface(segmented.path(name)) for name in names}
+    return read_surface(segmented.folder / "skin.ply"), bones
 
 
 def read_limb(segmented: StageResult) -> Limb:
     """The surfaces written by `segment`, repaired."""
-    paths = sorted(segmented.path(name) for name in segmented.files if name.startswith("bone_"))
-    skin = read_surface(segmented.folder / "skin.ply")
-    return mend(skin, [read_surface(each) for each in paths], where=str(segmented.folder))
+    skin, bones = named_surfaces(segmented)
+    return mend(skin, list(bones.values()), where=str(segmented.folder))
+
+
+def note_segmented(
+    segmented: StageResult, writer: StageWriter, *, layered: Sequence[str], markers: bool
+) -> None:
+    """Record what is used of a result of `segment`: its surfaces, layers at sites, and whether markers."""
+    surfaces = [name for name, path in segmented.files.items() if path.endswith(".ply")]
+    data = [f"layers/{name}" for name in layered] + (["markers"] if markers else [])
+    writer.used_result(segmented, files=surfaces, data=data)
 
 
 def site_position(site: Site, segmented: StageResult) -> tuple[float, float, float]:

@@ -129,8 +129,7 @@ class CaseRun:
         """
         from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 
-        own = ("templates",) if self.options.templates else ()
-        requested = self._requested(DIAGNOSE, names[0], without=own)
+        requested = self._requested(DIAGNOSE, names[0])
         files = [path for path in map(path_of, map(requested.get, ("effect_file", "templates"))) if path]
         key = key_of(DIAGNOSE, *names, *keys, *parts_of(requested), *files)
         for failure in self.outcome.failures:
@@ -165,7 +164,7 @@ class CaseRun:
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
         made += self._in_socket(first, keys)
         failed = [str(each.error) for each in self.outcome.failures]
-        requested = self._requested("report", None, without=("templates",) if self.options.templates else ())
+        requested = self._requested("report", None)
         templates = self.options.templates or path_of(requested.get("templates"))
         own = [templates] if templates else []
         shown = self.case.raw  # also what no stage asks for, such as the name of the probe
@@ -190,10 +189,13 @@ class CaseRun:
         from limbcli.stages.limb import LimbOptions, limb
         from limbcli.stages.socket import SocketOptions, socket
 
-        own_templates = ("templates",) if self.options.templates else ()
-        asked = {name: self._requested(name, None, without=own_templates) for name in ("limb", "socket")}
+        asked = {name: self._requested(name, None) for name in ("limb", "socket")}
         sized = {"nodes": given.limb_nodes, **asked["limb"]}
-        fits = [site.name for site in self.case.sites if self._is_fitted(site.name)]
+        fits = [
+            site.name
+            for site in self.case.sites
+            if (stage_folder(self.out, "fit", site.name) / "fit.json").is_file()
+        ]
         templates = {
             name: self.options.templates or path_of(each.get("templates")) for name, each in asked.items()
         }
@@ -259,12 +261,13 @@ class CaseRun:
     def _requested(self, stage: str, site: str | None, *, without: Sequence[str] = ()) -> dict[str, Any]:
         """Options of the stage's last manual call; stored for later batches and reported.
 
-        without : options not returned because another one (the batch's own option) takes precedence
+        without : options not returned because another one takes precedence, as the batch's own templates do
         """
         memory = self._memory(stage, site)
         requested = {} if self.options.defaults else memory.requested(stage, site)
         memory.keep_requested(stage, site, requested)
-        requested = {key: value for key, value in requested.items() if key not in without}
+        left_out = {*without, *(["templates"] if self.options.templates else [])}
+        requested = {key: value for key, value in requested.items() if key not in left_out}
         if requested:
             label, words = f"{stage} {site}" if site else stage, in_words(requested)
             self.outcome.kept[label] = words
@@ -279,10 +282,9 @@ class CaseRun:
 
     def site(self, name: str, key: str) -> str:
         """Run the stages of one site; return the key of the last one, for the report's key."""
-        own = ("templates",) if self.options.templates else ()
         without = {"mesh": ("element",) if self.options.element else ()}
         stages = (*SITE_STAGES, *([FIT_STATES] if self.case.site(name).states else []))
-        requested = {each: self._requested(each, name, without=without.get(each, own)) for each in stages}
+        requested = {each: self._requested(each, name, without=without.get(each, ())) for each in stages}
         steps = site_steps(self.case, name, self.options, requested, out=self.out, progress=self.progress)
         for k, step in enumerate(steps):
             stage, key = step.stage, key_of(key, *step.parts)
@@ -348,9 +350,6 @@ class CaseRun:
             memory.remember(stage, each, key)
         self.outcome.ran.append(label)
         return True
-
-    def _is_fitted(self, site: str) -> bool:
-        return (stage_folder(self.out, "fit", site) / "fit.json").is_file()
 
     def _records(self) -> list[Path]:
         """The records of all results, which the report shows."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -63,6 +63,26 @@ def one_case(
         return CaseOutcome(case, out, failures=[failure], begun=False)
 
 
+def outcomes(
+    pairs: Sequence[tuple[Path, Path]], options: BatchOptions, *, jobs: int, scheduler: str | None,
+    wait: bool, progress: Progress,
+) -> Iterator[CaseOutcome]:  # fmt: skip
+    """Run all (case, output folder) pairs, one after the other here or together in several processes.
+
+    Raises
+    ------
+    ToolError
+        As `batch_cluster.together`.
+    """
+    if scheduler is None and jobs == 1:
+        yield from (one_case(*pair, options, wait=wait, progress=progress) for pair in pairs)
+        return
+    from limbcli.stages.batch_cluster import together
+
+    absolute = [(case.absolute(), target.absolute()) for case, target in pairs]
+    yield from together(absolute, options, scheduler=scheduler, jobs=jobs, wait=wait, progress=progress)
+
+
 def _readable(folder: Path) -> Case | None:
     """The case, or None if it cannot be read (the batch itself reports that)."""
     try:
@@ -71,9 +91,7 @@ def _readable(folder: Path) -> Case | None:
         return None
 
 
-def expectations(
-    case: Path, out: Path, *, progress: Progress = SILENT
-) -> tuple[list[Comparison], list[StepFailure]]:
+def expectations(case: Path, out: Path, *, progress: Progress) -> tuple[list[Comparison], list[StepFailure]]:
     """All comparisons with the case's expected.toml, and a failure for each that is not met."""
     file = case / EXPECTED_FILE
     if not file.is_file():

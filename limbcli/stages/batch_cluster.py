@@ -258,7 +258,12 @@ class _Together:
         from distributed import KilledWorker
 
         if not isinstance(error, KilledWorker) and self.client.status != "running":
-            raise self._no_scheduler(error) from error
+            raise ToolError(
+                f"the scheduler was lost when {self.n_cases_done} of {len(self.ways)} cases were done "
+                f"({type(error).__name__})",
+                where="--scheduler",
+                fix=f"check its log, restart it, and {_SAME}",
+            ) from error
         reported: LimbError
         if isinstance(error, KilledWorker):
             reported = ToolError(
@@ -272,14 +277,6 @@ class _Together:
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
         outcome = CaseOutcome(part.case, part.out, failures=[StepFailure(stage, part.site, reported)])
         return PartOutcome(outcome, is_all=part.kind == LAST)
-
-    def _no_scheduler(self, error: Exception) -> ToolError:
-        return ToolError(
-            f"the scheduler was lost when {self.n_cases_done} of {len(self.ways)} cases were done "
-            f"({type(error).__name__})",
-            where="--scheduler",
-            fix=f"check its log, restart it, and {_SAME}",
-        )
 
     # ------------------------------------------------------------ progress
 

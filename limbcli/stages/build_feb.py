@@ -44,13 +44,7 @@ from limbcli.site_model.indentation_model import (
     with_penalty,
 )
 from limbcli.site_model.mesh_checks import check_within_tissue, warnings_now
-from limbcli.site_model.site_layers import (
-    LayerLaw,
-    layer_laws,
-    layers_in,
-    locking_warning,
-    with_layer_laws,
-)
+from limbcli.site_model.site_layers import LayerLaw, layer_laws, layers_in, locking_warning, with_layer_laws
 from limbcli.site_model.site_levels import levels_of, simulated_depths
 from limbcli.solvers.solver import MODEL_FILE
 
@@ -80,14 +74,9 @@ class TissueOptions:
 
 
 def build_feb(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    options: TissueOptions = TissueOptions(),
-    templates: Path | None = None,
-    progress: Progress = SILENT,
-) -> list[StageResult]:
+    case: Case, *, out: Path, sites: list[str] | None = None, options: TissueOptions = TissueOptions(),
+    templates: Path | None = None, progress: Progress = SILENT,
+) -> list[StageResult]:  # fmt: skip
     """Write `model.feb` of each site.
 
     Raises

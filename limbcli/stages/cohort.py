@@ -7,7 +7,6 @@ page with its pictures.
 from __future__ import annotations
 
 import csv
-import json
 import time
 from pathlib import Path
 from typing import Any
@@ -31,13 +30,13 @@ from limbcli.cohorts.result import (
 )
 from limbcli.cohorts.table import CohortTable
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.errors.problems import Problem, checked, raise_errors
+from limbcli.errors.problems import checked, raise_errors
 from limbcli.files.atomic import atomic_set, sha256
 from limbcli.files.plain_text import text_cell
 from limbcli.inference.layered_family import LayeredFamily, layered_family
 from limbcli.inference.layered_solves import FORCE
 from limbcli.progress import SILENT, Progress
-from limbcli.results import UNLIKE_OURS, StageResult, check_seal, plain, provenance, sealed
+from limbcli.results import StageResult, check_seal, plain, provenance, record_of, write_sealed
 
 STAGE, RESULT, ROWS, PAGE = "cohort", "cohort.json", "rows.csv", "cohort.html"
 _RECORDED = (ROWS, PAGE)  # files whose hashes the result records, to check that all are of the same run
@@ -66,7 +65,7 @@ def cohort(
     read, problems = checked_cohort(table)
     raise_errors(problems, MeasurementError, then="then call `limbcli cohort` again")
     rows = checked(read, problems, MeasurementError)
-    warnings = [_problem_text(each) for each in problems if each.severity == "warning"]
+    warnings = [f"{each.what} ({each.where})" for each in problems if each.severity == "warning"]
     rows, left_out_sites = _with_enough(rows)
     warnings += left_out_sites
     family = layered_family()
@@ -119,10 +118,6 @@ def _with_enough(table: CohortTable) -> tuple[CohortTable, list[str]]:
     ]
 
 
-def _problem_text(each: Problem) -> str:
-    return f"{each.what} ({each.where})"
-
-
 def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
     """Warnings that limit the validity of the results."""
     outside = sum(int((~each.model.inside).sum()) for each in estimates)
@@ -145,13 +140,9 @@ def _trust(estimates: list[SiteEstimate], family: LayeredFamily) -> list[str]:
 
 
 def _data(
-    table: CohortTable,
-    family: LayeredFamily,
-    noise: CohortNoise,
-    estimates: list[SiteEstimate],
-    predicted: dict[str, Any],
-    seconds: float,
-) -> dict[str, Any]:
+    table: CohortTable, family: LayeredFamily, noise: CohortNoise, estimates: list[SiteEstimate],
+    predicted: dict[str, Any], seconds: float,
+) -> dict[str, Any]:  # fmt: skip
     rows = row_entries(table, estimates, predicted)
     return {
         "n_rows": len(table),
@@ -202,9 +193,7 @@ def _written(
             writer.writeheader()
             writer.writerows({k: text_cell(v) for k, v in row.items()} for row in content["rows"])
         content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _RECORDED}
-        content = sealed(content)
-        text = json.dumps(content, indent=1, allow_nan=False)
-        (work / RESULT).write_text(text + "\n", encoding="utf-8")
+        content = write_sealed(work / RESULT, content)
     return _result(out, content)
 
 
@@ -229,24 +218,10 @@ def read_cohort(out: Path) -> StageResult:
     CaseError
         If it is missing or unreadable, or if the table and the page are not of the same run as the result.
     """
-    path = out / RESULT
-    if not path.is_file():
-        raise CaseError(
-            "there is no result of `cohort`",
-            where=str(out),
-            fix=f"run `limbcli cohort TABLE --out {out}` first",
-        )
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
+    with record_of(out / RESULT, STAGE, f"limbcli cohort TABLE --out {out}") as content:
         check_seal(content)
         found = _result(out, content)
         recorded = {name: found.provenance["files_sha256"][name] for name in _RECORDED}
-    except UNLIKE_OURS as error:
-        raise CaseError(
-            f"the result of `cohort` cannot be read ({error})",
-            where=str(path),
-            fix=f"run `limbcli cohort TABLE --out {out}` again",
-        ) from error
     for name, digest in recorded.items():
         if not (out / name).is_file() or sha256(out / name) != digest:
             raise CaseError(

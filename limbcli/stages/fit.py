@@ -68,16 +68,9 @@ if TYPE_CHECKING:
     from limbcli.solvers.session import Solved
 
 __all__ = [
-    "STAGE",
-    "START",
-    "FitOptions",
-    "built_model",
-    "check_choice",
-    "check_numbers",
-    "fit",
-    "force_depth_data",
+    "STAGE", "START", "FitOptions", "built_model", "check_choice", "check_numbers", "fit", "force_depth_data",
     "initial_stiffness",
-]
+]  # fmt: skip
 
 STAGE = "fit"
 START = np.array([START_F_KAPPA, 2.0])
@@ -85,15 +78,9 @@ _FIRST_SOLVES = 2  # greatest number of additional simulations for the interval 
 
 
 def fit(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    solver: str = "auto",
-    febio: Path | None = None,
-    options: FitOptions | None = None,
-    progress: Progress = SILENT,
-) -> list[StageResult]:
+    case: Case, *, out: Path, sites: list[str] | None = None, solver: str = "auto", febio: Path | None = None,
+    options: FitOptions | None = None, progress: Progress = SILENT,
+) -> list[StageResult]:  # fmt: skip
     """Identify the tissue parameters of each site with the model that `build-feb` wrote.
 
     Writes fit.json, curves.csv (measured and simulated forces), fit.png, profiles.png,

@@ -96,14 +96,9 @@ class Measured:
 
 
 def fit_joint(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    joint: JointOptions | None = None,
-    options: FitOptions | None = None,
-    progress: Progress = SILENT,
-) -> StageResult:
+    case: Case, *, out: Path, sites: list[str] | None = None, joint: JointOptions | None = None,
+    options: FitOptions | None = None, progress: Progress = SILENT,
+) -> StageResult:  # fmt: skip
     """Identify one set of parameters for the named sites (default: all) by the joint likelihood.
 
     Writes fit-joint.json, a table of levels for each site, fit-joint.png, parameters.csv, fit.mat

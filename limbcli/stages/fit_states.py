@@ -59,14 +59,9 @@ class StatesOptions:
 
 
 def fit_states(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    states: StatesOptions | None = None,
-    options: FitOptions | None = None,
-    progress: Progress = SILENT,
-) -> list[StageResult]:
+    case: Case, *, out: Path, sites: list[str] | None = None, states: StatesOptions | None = None,
+    options: FitOptions | None = None, progress: Progress = SILENT,
+) -> list[StageResult]:  # fmt: skip
     """Identify a common law, and a stretch for every state, at each site that has states.
 
     Writes fit-states.json, states.png (speed at rest against stretch), fit-states.png, profiles.png, a table
@@ -97,7 +92,7 @@ def fit_states(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
-            _fit_site(noted(case, writer), site.name, out, writer, states, options, progress)
+            _fit_site(noted(case, writer), site.name, out, writer, states, progress)
             writer.data["asked"] = {**options.requested("states"), **requested_by_options(states)}
             writer.data["seconds"] = time.perf_counter() - clock
             write_mat_file(writer)
@@ -106,9 +101,8 @@ def fit_states(
 
 
 def _fit_site(
-    case: Case, name: str, out: Path, writer: StageWriter, states: StatesOptions, options: FitOptions,
-    progress: Progress,
-) -> None:  # fmt: skip
+    case: Case, name: str, out: Path, writer: StageWriter, states: StatesOptions, progress: Progress
+) -> None:
     site, law = case.site(name), law_named(states.law)
     plan = stretch_plan(site)
     measured = states_of(site)

@@ -21,7 +21,7 @@ from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.probe import PlacedProbe, ProbeShape
 from limbcli.meshing.quality import dihedral_angles_deg, scaled_jacobians, volumes
 from limbcli.meshing.sites_on_skin import place_fault
-from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.meshing.surfaces import Triangles
 from limbcli.meshing.whole_limb import (
     DISTAL_CUT,
     HELD,
@@ -43,7 +43,7 @@ from limbcli.provenance.requested_options import requested_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.indentation_model import TISSUE
-from limbcli.site_model.segmented_limb import site_position
+from limbcli.site_model.segmented_limb import named_surfaces, note_segmented, site_position
 from limbcli.site_model.site_layers import (
     Layering,
     LayerLaw,
@@ -125,7 +125,9 @@ def limb(
     with open_stage(out, STAGE, subject=case.subject) as writer:
         writer.data["asked"] = requested_of({**vars(options), "templates": templates}, vars(LimbOptions()))
         case = noted(case, writer)
-        _note(case, segmented, layered, templates, writer)
+        markers = any(site.position is None for site in case.sites)
+        note_segmented(segmented, writer, layered=layered, markers=markers)
+        note_templates(writer, templates)
         skin, bones = named_surfaces(segmented)
         where = str(segmented.folder)
         raise_errors(limb_problems({SKIN: skin, **bones}, limb=case.limb, where=where), CaseError)
@@ -179,23 +181,6 @@ def limb(
     return writer.result
 
 
-def _note(
-    case: Case, segmented: StageResult, layered: tuple[str, ...], templates: Path | None, writer: StageWriter
-) -> None:
-    """Record which earlier results and templates are used."""
-    surfaces = [name for name, path in segmented.files.items() if path.endswith(".ply")]
-    markers = ["markers"] if any(site.position is None for site in case.sites) else []
-    writer.used_result(segmented, files=surfaces, data=[*(f"layers/{name}" for name in layered), *markers])
-    note_templates(writer, templates)
-
-
-def named_surfaces(segmented: StageResult) -> tuple[Triangles, dict[str, Triangles]]:
-    """The skin, and the bones by name, written by `segment`."""
-    names = sorted(name for name in segmented.files if name.startswith("bone_"))
-    bones = {name: read_surface(segmented.path(name)) for name in names}
-    return read_surface(segmented.folder / "skin.ply"), bones
-
-
 def _field(
     case: Case, chain: Chain, skin: Triangles, bones: Mapping[str, Triangles], frame: LimbFrame,
     options: LimbOptions, writer: StageWriter,
@@ -203,7 +188,7 @@ def _field(
     """The stiffness field through the case's sites; None if c is given by hand or no site says anything."""
     field = None
     if options.c_kpa is None:
-        found = case_field(case, chain, skin, list(bones.values()), frame.axis, writer=writer)
+        found = case_field(case, chain, skin, list(bones.values()), frame.axis, writer)
         field = found if found.results.sites or found.results.maps else None
     wrong = [k for k in options.draws if field is None or not 0 <= k < N_DRAWS]
     if wrong:

@@ -20,12 +20,7 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import raise_errors
 from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
-from limbcli.measurement.indentation import (
-    Levels,
-    check_levels,
-    level_warnings,
-    read_levels,
-)
+from limbcli.measurement.indentation import Levels, check_levels, level_warnings, read_levels
 from limbcli.measurement.levels import LAYERS
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
@@ -40,12 +35,7 @@ STAGE = "measure"
 
 
 def measure(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    write: bool = False,
-    progress: Progress = SILENT,
+    case: Case, *, out: Path, sites: list[str] | None = None, write: bool = False, progress: Progress = SILENT
 ) -> list[StageResult]:
     """Read the instruments' files of each site; with `write`, write levels.csv where the case names it.
 
@@ -137,9 +127,8 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
     if table["box_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
-            "the top of the B-mode images is taken as the probe face: if a frame or text is above "
-            "it, state where the ultrasound image lies with box_pixels of [site.b_mode]; the distances to "
-            "bone and "
+            "the top of the B-mode images is taken as the probe face: if a frame or text is above it, state "
+            "where the ultrasound image lies with box_pixels of [site.b_mode]; the distances to bone and "
             "layers depend on it, the depth of indentation does not"
         )
     lines: list[BoneLine] = follow_bone(images, bone=table["bone_mm"])

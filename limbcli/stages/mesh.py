@@ -53,20 +53,11 @@ from limbcli.stages.segmenting.possible_sites import warnings_of_limb
 
 
 def mesh(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    element: str | None = None,
-    size: float | None = None,
-    far_size: float | None = None,
-    margin: float | None = None,
-    skin_layer: Thickness | None = None,
-    fat_layer: Thickness | None = None,
-    place: tuple[float, float] | None = None,
-    study: bool = False,
-    progress: Progress = SILENT,
-) -> list[StageResult]:
+    case: Case, *, out: Path, sites: list[str] | None = None, element: str | None = None,
+    size: float | None = None, far_size: float | None = None, margin: float | None = None,
+    skin_layer: Thickness | None = None, fat_layer: Thickness | None = None,
+    place: tuple[float, float] | None = None, study: bool = False, progress: Progress = SILENT,
+) -> list[StageResult]:  # fmt: skip
     """Mesh each site (all, or those named): model.npz, mesh.vtu, mesh.png.
 
     element, margin : override the case's; size, far_size : edge lengths (mm) under the probe, far from it
@@ -137,14 +128,9 @@ def mesh_options(
 
 
 def mesh_site(
-    inputs: MeshInputs,
-    site: Site,
-    limb: Limb,
-    options: MeshOptions,
-    layer_sources: Mapping[str, ThicknessSource],
-    out: Path,
-    progress: Progress,
-) -> StageResult:
+    inputs: MeshInputs, site: Site, limb: Limb, options: MeshOptions,
+    layer_sources: Mapping[str, ThicknessSource], out: Path, progress: Progress,
+) -> StageResult:  # fmt: skip
     """Mesh one site and write its folder below `out`.
 
     Raises
@@ -211,13 +197,9 @@ def _report_layers(
 
 
 def _report(
-    writer: StageWriter,
-    found: SiteModel,
-    options: MeshOptions,
-    limb: Limb,
-    segmented: StageResult,
+    writer: StageWriter, found: SiteModel, options: MeshOptions, limb: Limb, segmented: StageResult,
     site: Site,
-) -> None:
+) -> None:  # fmt: skip
     figures, checks, frame = found.quality, found.checks, found.frame
     writer.data.update(
         {
@@ -227,13 +209,9 @@ def _report(
             "checks": checks.to_json(),
             "mending": [*limb.notes, *found.notes],
             "frame": {
-                "skin_point_mm": frame.skin_point,
-                "normal": frame.normal,
-                "long_axis": frame.long_axis,
-                "proximal": frame.proximal,
-                "patient_from_model": frame.to_patient,
-                "site_to_skin_mm": frame.moved,
-                "long_axis_slope_deg": frame.slope_deg,
+                "skin_point_mm": frame.skin_point, "normal": frame.normal, "long_axis": frame.long_axis,
+                "proximal": frame.proximal, "patient_from_model": frame.to_patient,
+                "site_to_skin_mm": frame.moved, "long_axis_slope_deg": frame.slope_deg,
             },
             "margin_mm": options.margin,
             "size_under_probe_mm": options.sizes.under_probe,
@@ -242,7 +220,7 @@ def _report(
             "cuts": found.model.info["cuts"],
             "measured_skin_bone_mm": measured_skin_bone(unnoted(site)),  # shown, and compared
         }
-    )
+    )  # fmt: skip
     writer.summary.append(
         f"{figures.n_cells} {options.element}, {figures.n_nodes} nodes by {found.maker}; "
         f"edges {figures.edge_under_probe_mm:.1f} mm under the probe"

@@ -7,8 +7,6 @@ import shutil
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-import jinja2
-
 from limbcli.case import CASE_FILE
 from limbcli.case.json_schema import FILE as SCHEMA_FILE
 from limbcli.case.json_schema import case_schema
@@ -18,6 +16,7 @@ from limbcli.errors import CaseError
 from limbcli.errors.file_system import file_system_errors
 from limbcli.errors.pasted_commands import typed
 from limbcli.files.atomic import atomic_folder
+from limbcli.files.template_rendering import plain_text_templates
 from limbcli.results import StageResult, provenance
 
 MRI, LEVELS, README = "mri", "levels.csv", "README.md"
@@ -94,10 +93,7 @@ def _refuse_used(folder: Path) -> None:
 
 def _texts(subject: str, sites: tuple[str, ...]) -> dict[str, str]:
     """Every file's text by its path in the case folder; case.toml last."""
-    loader = jinja2.FileSystemLoader(templates_folder() / "case")
-    environment = jinja2.Environment(
-        loader=loader, undefined=jinja2.StrictUndefined, trim_blocks=True, keep_trailing_newline=True
-    )
+    environment = plain_text_templates(templates_folder() / "case")
     facts = {"schema": SCHEMA_FILE, "subject": subject, "sites": sites, "fill_in": FILL_IN}
     levels = environment.get_template(f"{LEVELS}.j2")
     return {

@@ -13,7 +13,7 @@ from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import requested_of
 from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
-from limbcli.reporting.report_data import ReportData, SiteMaterial
+from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Reportlet
 from limbcli.reporting.sections.groups import groups
 from limbcli.reporting.sections.methods import FILE as METHODS_FILE
@@ -57,7 +57,8 @@ def report(
         writer.summary += [f"{site.name}: diagnosis: {site.diagnosis}" for site in diagnosed]
         writer.summary.append(f"page: {writer.target / PAGE_FILE}")
         writer.warnings += [each.text for each in glance.warnings]
-        writer.warnings += [f"site {site.name}: {site.why_not_deformed}" for site in _not_drawn(page)]
+        not_drawn = [site for site in page.sites if site.deformed is None and site.why_not_deformed]
+        writer.warnings += [f"site {site.name}: {site.why_not_deformed}" for site in not_drawn]
     return writer.result
 
 
@@ -83,11 +84,6 @@ def _write_page(
     writer.file("page", PAGE_FILE).write_text(html, encoding="utf-8")
     writer.file("methods", METHODS_FILE).write_text(methods_text(page, own), encoding="utf-8")
     progress.event("task", name="report: drawing", done=1, total=1)
-
-
-def _not_drawn(page: ReportData) -> list[SiteMaterial]:
-    """Sites with a simulation whose model or records cannot be read (truncated or damaged)."""
-    return [each for each in page.sites if each.deformed is None and each.why_not_deformed]
 
 
 def _probe(case: Case) -> str:

@@ -46,15 +46,9 @@ class RunOptions:
 
 
 def run(
-    case: Case,
-    *,
-    out: Path,
-    sites: list[str] | None = None,
-    solver: str = "auto",
-    febio: Path | None = None,
-    options: RunOptions = RunOptions(),
-    progress: Progress = SILENT,
-) -> list[StageResult]:
+    case: Case, *, out: Path, sites: list[str] | None = None, solver: str = "auto", febio: Path | None = None,
+    options: RunOptions = RunOptions(), progress: Progress = SILENT,
+) -> list[StageResult]:  # fmt: skip
     """Run each site's model.
 
     Writes model.feb, model.log, the record files, force-depth.csv and force-depth.png.
@@ -79,14 +73,9 @@ def run(
 
 
 def run_file(
-    feb: Path,
-    *,
-    out: Path,
-    solver: str = "auto",
-    febio: Path | None = None,
-    options: RunOptions = RunOptions(),
-    progress: Progress = SILENT,
-) -> StageResult:
+    feb: Path, *, out: Path, solver: str = "auto", febio: Path | None = None,
+    options: RunOptions = RunOptions(), progress: Progress = SILENT,
+) -> StageResult:  # fmt: skip
     """Run a model file that belongs to no case; the result is `<out>/run`.
 
     Raises
@@ -162,16 +151,9 @@ def _run_site(
 
 
 def _simulate(
-    source: Path,
-    model: Runnable,
-    writer: StageWriter,
-    engine: Solver,
-    options: RunOptions,
-    progress: Progress,
-    *,
-    levels: Levels | None = None,
-    site: Site | None = None,
-) -> None:
+    source: Path, model: Runnable, writer: StageWriter, engine: Solver, options: RunOptions,
+    progress: Progress, *, levels: Levels | None = None, site: Site | None = None,
+) -> None:  # fmt: skip
     feb = writer.file("feb", MODEL_FILE)
     feb.write_bytes(model.text)
     writer.used("model", source)

@@ -73,18 +73,10 @@ class _Options:
 
 
 def segment(
-    case: Case,
-    *,
-    out: Path,
-    seeds: Sequence[Seed] = (),
-    smooth: float = SMOOTH,
-    threshold: float | None = None,
-    limb: Side | None = None,
-    accept_bones: bool = False,
-    aop: bool = False,
-    fresh: bool = False,
-    progress: Progress = SILENT,
-) -> StageResult:
+    case: Case, *, out: Path, seeds: Sequence[Seed] = (), smooth: float = SMOOTH,
+    threshold: float | None = None, limb: Side | None = None, accept_bones: bool = False, aop: bool = False,
+    fresh: bool = False, progress: Progress = SILENT,
+) -> StageResult:  # fmt: skip
     """Find skin, bones, fat and markers; write label map, surfaces and contact sheet.
 
     In order of precedence the source is a label map edited by the user in the output folder, the
@@ -262,12 +254,7 @@ def _ignored(options: _Options, writer: StageWriter) -> None:
 
 
 def _write(
-    case: Case,
-    image: Volume,
-    found: Segmentation,
-    options: _Options,
-    writer: StageWriter,
-    progress: Progress,
+    case: Case, image: Volume, found: Segmentation, options: _Options, writer: StageWriter, progress: Progress
 ) -> None:
     if not found.bones:
         raise CaseError(

@@ -28,13 +28,7 @@ from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, 
 from limbcli.stages.in_socket.intervals import Pose, drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.stages.in_socket.patch_table import (
-    WHOLE,
-    Interval,
-    patch_masks,
-    patch_rows,
-    write_patches,
-)
+from limbcli.stages.in_socket.patch_table import WHOLE, Interval, patch_masks, patch_rows, write_patches
 from limbcli.stages.in_socket.pictures import pressure_picture
 
 STAGE = "socket"
@@ -213,13 +207,9 @@ def _intervals(
 def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput) -> None:
     fit = together.fit
     writer.data.update(
-        socket=together.words,
-        friction=given.friction,
-        loads_n=list(given.loads),
-        deepest_interference_mm=fit.deepest_mm,
-        widest_gap_mm=fit.widest_mm,
-        frame=together.frame.to_json(),
-    )
+        socket=together.words, friction=given.friction, loads_n=list(given.loads),
+        deepest_interference_mm=fit.deepest_mm, widest_gap_mm=fit.widest_mm, frame=together.frame.to_json(),
+    )  # fmt: skip
     writer.summary.append(f"socket: {together.words}")
     if together.alignment is not None:
         moved = together.alignment

@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import CASE_FILE, Case, Site, StatedNoise
+from limbcli.case import CASE_FILE, Case, Site
 from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.files.temporary_folders import scratch_folder
@@ -36,10 +36,7 @@ from limbcli.site_model.site_layers import MRI, held_layers
 from limbcli.stages.expect import keep_expected
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
 from limbcli.stages.simulated_subjects.indent import indent
-from limbcli.stages.simulated_subjects.known_stretches import (
-    check_stretches,
-    true_states,
-)
+from limbcli.stages.simulated_subjects.known_stretches import check_stretches, true_states
 from limbcli.stages.simulated_subjects.synth_case import (
     borders_at_rest,
     case_table,
@@ -55,15 +52,9 @@ _TOLERANCE, _FINE_TOLERANCE = 1e-4, 1e-6
 
 
 def synth(
-    case: Case,
-    *,
-    out: Path,
-    out_case: Path,
-    sites: list[str] | None = None,
-    options: SynthOptions = SynthOptions(),
-    force: bool = False,
-    progress: Progress = SILENT,
-) -> StageResult:
+    case: Case, *, out: Path, out_case: Path, sites: list[str] | None = None,
+    options: SynthOptions = SynthOptions(), force: bool = False, progress: Progress = SILENT,
+) -> StageResult:  # fmt: skip
     """Write a copy of `case` with simulated measurements, and the true values to `truth_file(out_case)`.
 
     Raises
@@ -92,7 +83,19 @@ def synth(
             _check_target(case, out_case, force=force)  # another program may have made it meanwhile
             if (before := truth_file(out_case)).exists():
                 os.truncate(before, 0)  # if killed from here on, an empty truth file rather than a wrong one
-    return _result(case, out_case, measured)
+    return StageResult(
+        stage="synth",
+        subject=case.subject,
+        folder=out_case,
+        files={"case": CASE_FILE},
+        data={
+            "truth": str(truth_file(out_case)),
+            "sites": list(dict.fromkeys(each.site for each in measured)),
+            "n_levels": {each.label: len(each.readings.force) for each in measured},
+        },
+        summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
+        provenance=provenance(),
+    )
 
 
 def truth_file(out_case: Path) -> Path:
@@ -205,7 +208,9 @@ def _measure_site(
     check_beside_layers(hidden, held_layers(model))
     for_waves = [contact, *(each.for_waves or each.in_model for each in hidden)]
     protocol = replace(options.protocol, first=sum(each.preload for each in hidden))
-    law = noise_law(site.noise).times(options.noise)
+    noise = site.noise
+    law = NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
+    law = law.times(options.noise)
     block = model.mesh.solid_blocks[0]
     facts = {"element": block.kind, "n_elements": len(block.cells), "same_mesh": options.same_mesh}
     found = []
@@ -259,24 +264,3 @@ def _change(found: Sequence[Alter | None]) -> Alter | None:
         return model
 
     return change
-
-
-def noise_law(noise: StatedNoise) -> NoiseLaw:
-    """The case's stated noise as a noise law for simulated readings."""
-    return NoiseLaw(noise.force, noise.depth, noise.swe_level_fraction, noise.swe_pixel_fraction, noise.layer)
-
-
-def _result(case: Case, out_case: Path, measured: list[SyntheticSite]) -> StageResult:
-    return StageResult(
-        stage="synth",
-        subject=case.subject,
-        folder=out_case,
-        files={"case": CASE_FILE},
-        data={
-            "truth": str(truth_file(out_case)),
-            "sites": list(dict.fromkeys(each.site for each in measured)),
-            "n_levels": {each.label: len(each.readings.force) for each in measured},
-        },
-        summary=(*map(summary_of, measured), f"truth: {truth_file(out_case)}"),
-        provenance=provenance(),
-    )

@@ -14,7 +14,6 @@ from limbcli.stiffness_field.field import (
     HypothesisGrid,
     PointValues,
     StiffnessField,
-    prior_of,
     stiffness_field,
 )
 from limbcli.stiffness_field.held_out import contradictions, held_out
@@ -22,23 +21,7 @@ from limbcli.stiffness_field.likelihood import Interval
 from limbcli.stiffness_field.readings import MapReading, SiteReading, map_reading, region_below
 
 __all__ = [
-    "LABELS",
-    "PRIORS",
-    "Draws",
-    "FieldPrior",
-    "HypothesisGrid",
-    "Interval",
-    "LimbCoordinates",
-    "MapReading",
-    "PointValues",
-    "SiteReading",
-    "StiffnessField",
-    "contradictions",
-    "held_out",
-    "limb_coordinates",
-    "map_reading",
-    "prior_of",
-    "region_below",
-    "stiffness_field",
-    "write_draws",
-]
+    "LABELS", "PRIORS", "Draws", "FieldPrior", "HypothesisGrid", "Interval", "LimbCoordinates", "MapReading",
+    "PointValues", "SiteReading", "StiffnessField", "contradictions", "held_out", "limb_coordinates",
+    "map_reading", "region_below", "stiffness_field", "write_draws",
+]  # fmt: skip

@@ -15,7 +15,6 @@ Source: Wilson et al. 2020, ICML 119:10292 (pathwise conditioning).
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
@@ -26,6 +25,7 @@ from scipy.linalg import cho_solve
 
 from limbcli.errors import FitError
 from limbcli.files.atomic import atomic_file
+from limbcli.files.plain_text import write_rows
 from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.stiffness_field.coordinates import AnatomicalPlaces
@@ -147,10 +147,8 @@ class Draws:
 
 def write_draws(path: Path, rows: Sequence[dict[str, float]]) -> None:
     """Write draws.csv, one row per draw, atomically."""
-    with atomic_file(path) as partial, partial.open("w", newline="", encoding="utf-8") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(rows[0])
-        writer.writerows([f"{value:.6g}" for value in row.values()] for row in rows)
+    with atomic_file(path) as partial:
+        write_rows(partial, rows[0], ([f"{value:.6g}" for value in row.values()] for row in rows))
 
 
 @lru_cache(maxsize=64)

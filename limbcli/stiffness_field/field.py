@@ -515,22 +515,7 @@ def without_site(field: StiffnessField, name: str, grid: HypothesisGrid | None =
     )
 
 
-def prior_of(name: str, *, mean: float, deviation: float, source: str) -> FieldPrior:
-    """A prior of its own for one parameter, such as that of a population: mean and deviation of ln."""
-    return replace(PRIORS[name], mean=mean, deviation=deviation, source=source)
-
-
 __all__ = [
-    "LABELS",
-    "PRIORS",
-    "FieldPrior",
-    "HypothesisGrid",
-    "Interval",
-    "PointValues",
-    "StiffnessField",
-    "Values",
-    "prior_of",
-    "quantile",
-    "stiffness_field",
-    "without_site",
+    "LABELS", "PRIORS", "FieldPrior", "HypothesisGrid", "Interval", "PointValues", "StiffnessField", "Values",
+    "quantile", "stiffness_field", "without_site",
 ]  # fmt: skip

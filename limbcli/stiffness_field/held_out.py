@@ -9,7 +9,6 @@ import numpy as np
 from scipy.special import ndtr, ndtri
 from scipy.stats import binom
 
-from limbcli.model import Array
 from limbcli.stiffness_field.field import HypothesisGrid, StiffnessField, quantile, without_site
 from limbcli.stiffness_field.likelihood import Known, likelihood_of
 
@@ -117,14 +116,10 @@ def contradictions(field: StiffnessField) -> list[str]:
         if correlation(at, beside, lengths).mean() < _TOGETHER * own:
             continue
         high, low = (a, b) if a.mode > b.mode else (b, a)
-        z = _apart(high.mode - low.mode, np.array([high.below, low.above]))
+        z = (high.mode - low.mode) / np.linalg.norm([high.below, low.above])
         if z > _AT_ODDS_Z:
             found.append(
                 f"{one.name} and {other.name} lie at one place, and their c differ by a factor of "
                 f"{np.exp(abs(a.mode - b.mode)):.2g}, {z:.1f} standard deviations of their intervals"
             )
     return found
-
-
-def _apart(difference: float, deviations: Array) -> float:
-    return float(difference / np.linalg.norm(deviations))

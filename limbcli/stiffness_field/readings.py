@@ -76,14 +76,9 @@ def region_below(
 
 
 def map_reading(
-    site: str,
-    swe: SweMap,
-    to_patient: Array,
-    noise: PixelNoise,
-    *,
-    gain_deviation: float | None,
+    site: str, swe: SweMap, to_patient: Array, noise: PixelNoise, *, gain_deviation: float | None,
     density_kg_per_m3: float = 1000.0,
-) -> MapReading:
+) -> MapReading:  # fmt: skip
     """ln c = ln(2 rho v^2) of a map at rest, averaged over squares of 6 mm or, in a large map, more.
 
     to_patient : (4, 4) from the site's frame (lateral along x, depth along -z) to the limb's

@@ -179,14 +179,9 @@ class _Lines:
 
 
 def aop_limb(
-    points: Array,
-    triangles: IntArray,
-    *,
-    side: str = "",
-    landmarks: Mapping[str, Array] | None = None,
-    n_angles: int = 72,
-    step_mm: float = 3.0,
-) -> tuple[AopLimb, Array]:
+    points: Array, triangles: IntArray, *, side: str = "", landmarks: Mapping[str, Array] | None = None,
+    n_angles: int = 72, step_mm: float = 3.0,
+) -> tuple[AopLimb, Array]:  # fmt: skip
     """A surface as radii about an upright axis, and the point (3,), mm, of the axis at height 0.
 
     The axis is that through the tip or through the whole limb, whichever more slices surround. What lies

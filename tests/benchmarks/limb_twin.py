@@ -33,8 +33,7 @@ from limbcli.model import LimbModel, Mesh
 from limbcli.numbers.mesh_bounds import MARGIN_MM
 from limbcli.provenance.staleness import Chain
 from limbcli.site_model.mesh_study import full_depth, reference_force
-from limbcli.site_model.segmented_limb import site_position
-from limbcli.stages.limb import named_surfaces
+from limbcli.site_model.segmented_limb import named_surfaces, site_position
 from limbcli.stages.mesh import mesh_options
 from tests.meshing.test_limb_twin import with_probe
 

@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.errors import CaseError
 from limbcli.imaging.label_frame import compare_frames, in_order_of
-from limbcli.imaging.labels import read_labels
+from limbcli.imaging.labels import read_nifti_labels
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 
 SPACING = np.array([2.0, 2.0, 4.0])
@@ -109,6 +109,6 @@ def saved(path: Path, **header) -> Path:
     ],
 )
 def test_a_header_that_contradicts_itself_is_refused(tmp_path, header, text):
-    assert read_labels(saved(tmp_path / "good.nii.gz")).shape == (50, 50, 30)
+    assert read_nifti_labels(saved(tmp_path / "good.nii.gz"))[0].shape == (50, 50, 30)
     with pytest.raises(CaseError, match=text):
-        read_labels(saved(tmp_path / "a.nii.gz", **header))
+        read_nifti_labels(saved(tmp_path / "a.nii.gz", **header))

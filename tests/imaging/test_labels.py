@@ -9,7 +9,7 @@ from limb_images import Limb
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
-from limbcli.imaging.labels import read_labels, segmentation_from, write_labels
+from limbcli.imaging.labels import checked_labels, read_nifti_labels, segmentation_from, write_labels
 from limbcli.imaging.volume import Volume
 
 MARKERS = ((43.5, 0.0, -8.0), (0.0, 38.0, 12.0))
@@ -37,7 +37,7 @@ def test_a_label_map_that_does_not_say_how_it_lies_is_refused(truth, tmp_path):
     """Its readers would take either side for the left."""
     nib.save(nib.Nifti1Image(truth.values, None), tmp_path / "labels.nii.gz")
     with pytest.raises(CaseError, match="does not define its orientation"):
-        read_labels(tmp_path / "labels.nii.gz")
+        read_nifti_labels(tmp_path / "labels.nii.gz")
 
 
 def test_a_stray_voxel_is_no_marker_and_no_bone_and_that_is_told(truth):
@@ -57,7 +57,7 @@ def test_a_stray_voxel_is_no_marker_and_no_bone_and_that_is_told(truth):
 
 def test_a_label_map_comes_back_as_written(truth, tmp_path):
     write_labels(tmp_path / "labels.nii.gz", truth)
-    again = read_labels(tmp_path / "labels.nii.gz")
+    again, _ = read_nifti_labels(tmp_path / "labels.nii.gz")
     assert np.array_equal(again.values, truth.values)
     np.testing.assert_allclose(again.affine, truth.affine, atol=1e-4)
 
@@ -90,12 +90,11 @@ def test_of_two_limbs_in_a_label_map_the_one_meant_is_taken(truth, side):
 def test_unusable_labels_are_refused(truth, tmp_path, value, message):
     values = truth.values.copy()
     values[values == 2] = value
-    write_labels(tmp_path / "labels.nii.gz", Volume(values, truth.affine))
     with pytest.raises(CaseError, match=message):
-        read_labels(tmp_path / "labels.nii.gz")
+        checked_labels(Volume(values, truth.affine), tmp_path / "labels.nii.gz")
 
 
 def test_a_file_that_is_no_nifti_is_refused(tmp_path):
     (tmp_path / "labels.nii.gz").write_text("nothing")
     with pytest.raises(CaseError, match="cannot be read"):
-        read_labels(tmp_path / "labels.nii.gz")
+        read_nifti_labels(tmp_path / "labels.nii.gz")

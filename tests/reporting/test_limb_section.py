@@ -16,7 +16,7 @@ LEFT_OUT = {"site": "p1", "c_kpa": 8.2, "predicted_kpa": 9.0, "predicted_95_kpa"
 
 def page(**outcome):
     found = Outcome("limb", None, outcome.pop("status", "done"), "limbcli limb CASE", **outcome)
-    return SimpleNamespace(outcomes=SimpleNamespace(maybe=lambda stage: found if outcome else None))
+    return SimpleNamespace(outcomes=SimpleNamespace(maybe=lambda stage, _=None: found if outcome else None))
 
 
 def result(folder: Path, **more) -> StageResult:

@@ -16,11 +16,12 @@ from limbcli.cli.app import main
 from limbcli.cohorts.column_checks import checked_cohort
 from limbcli.cohorts.compliance import _person_share, _Slab
 from limbcli.cohorts.estimate import estimate_sites, noise_of
-from limbcli.cohorts.population import CohortModel, readings, row_modes_of
+from limbcli.cohorts.population import PRIOR_DEVIATION, START, CohortModel, reading_noise, readings
 from limbcli.cohorts.result import holm, natural, person_scores
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
+from limbcli.inference.population import row_modes
 from limbcli.stages.cohort import _refuse_foreign, cohort, read_cohort
 from tests.benchmarks.cohort_structure import SHAPES, STRUCTURES, Structure, strains_and_force
 from tests.benchmarks.layered_member import Member, solve_member
@@ -269,7 +270,8 @@ def test_tissue_is_recovered_from_solves_on_another_mesh():
     model = CohortModel.of(family, thickness, faces, strain)
     seen = readings(np.array(force), faces, thickness.sum(axis=1), shortened, np.array(slope))
     exact = np.full(3, 0.01)  # mm: these marks have no noise
-    found = row_modes_of(model, seen, shortened, family, layer_deviation=exact)
+    noise = reading_noise(shortened, exact, 0.05, family.error)
+    found = row_modes(model, seen, noise, START, np.diag(PRIOR_DEVIATION**2))
     apart = found - truth
     keep = is_inside(model.shape)
     # A mesh and the emulator together: a quarter of c_muscle. c_fat is read from a part of the shortening;

@@ -5,19 +5,21 @@ from __future__ import annotations
 import json
 from pathlib import Path
 from types import SimpleNamespace
+from unittest.mock import Mock
 
 import numpy as np
 import pytest
 
 from limbcli.case.parts import StatedNoise
-from limbcli.errors import CaseError, FitError
+from limbcli.errors import FitError
 from limbcli.measurement.elastography import SweMap, write_map
-from limbcli.results import StageResult, open_stage, plain
-from limbcli.stages.limb_field.case_field import case_field, cohort_priors
+from limbcli.results import StageResult, StageWriter, open_stage, plain
+from limbcli.stages.limb_field.case_field import case_field
 from limbcli.stages.limb_field.site_results import of_diagnosis, of_fit, site_results
 from limbcli.stiffness_field import LABELS
 from tests.stiffness_field import synthetic as limb
 
+NOT_KEPT = Mock(spec=StageWriter)
 FIT = {
     "c_kpa": 8.0, "m": 4.0, "f_kappa": 1000.0,
     "interval_95": {"c_kpa": [6.6, 9.7], "m": [3.0, 5.5], "f_kappa": [20.0, None]},
@@ -68,7 +70,7 @@ def case_of(swe_maps: Path | None = None, levels: Path | None = None) -> SimpleN
 
 
 def read(**there: StageResult):
-    return site_results(case_of(), Results(mesh=mesh(), **there))
+    return site_results(case_of(), Results(mesh=mesh(), **there), NOT_KEPT)
 
 
 def test_what_a_fit_finds_from_the_force_is_moved_half_way_to_free_cuts():
@@ -108,7 +110,7 @@ def test_a_diagnosis_that_named_nothing_leaves_the_fit():
 
 
 def test_a_site_without_results_says_why():
-    assert site_results(case_of(), Results()).left_out == {"p1": "it is not meshed"}
+    assert site_results(case_of(), Results(), NOT_KEPT).left_out == {"p1": "it is not meshed"}
     assert "neither fitted nor diagnosed" in read().left_out["p1"]
 
 
@@ -133,14 +135,14 @@ def measured(tmp_path):
 
 
 def test_a_map_at_rest_is_placed_on_the_limb_and_says_only_how_c_varies_where_c_is_known(measured):
-    found = site_results(measured, Results(mesh=mesh(), fit=result("fit", FIT)))
+    found = site_results(measured, Results(mesh=mesh(), fit=result("fit", FIT)), NOT_KEPT)
     (swe,) = found.maps
     assert swe.gain_deviation is None
     assert np.ptp(swe.points[:, 2]) > 20  # lateral runs along the limb
     assert (np.linalg.norm(swe.points[:, :2], axis=1) < limb.RADIUS).all()
     high = swe.points[:, 2] > HEIGHT + 4
     np.testing.assert_allclose(np.exp(swe.log_c[high]), 2e-6 * 1000 * 2.4**2, rtol=1e-6)
-    bare = site_results(measured, Results(mesh=mesh())).maps[0]
+    bare = site_results(measured, Results(mesh=mesh()), NOT_KEPT).maps[0]
     assert bare.gain_deviation == pytest.approx(0.1)
 
 
@@ -154,14 +156,14 @@ def test_what_the_readings_are_made_from_is_recorded(measured, tmp_path):
 
 def test_a_map_is_left_out_where_the_diagnosis_says_that_speeds_are_misread(measured):
     guided = result("diagnose", {**DIAGNOSED, "added": ["swe-guided-wave"]})
-    found = site_results(measured, Results(mesh=mesh(), diagnose=guided))
+    found = site_results(measured, Results(mesh=mesh(), diagnose=guided), NOT_KEPT)
     assert not found.maps
     assert "swe-guided-wave" in found.left_out["map of p1"]
 
 
 def test_the_field_of_a_case_in_one_call(measured):
     there = Results(mesh=mesh(), fit=result("fit", FIT))
-    found = case_field(measured, there, limb.SKIN, limb.BONES, limb.AXIS)
+    found = case_field(measured, there, limb.SKIN, limb.BONES, limb.AXIS, NOT_KEPT)
     c, low, high, label, distance = found.element_columns(limb.region(HEIGHT, ANGLE))
     assert ((low < c) & (c < high)).all()
     assert np.exp(np.log(c).mean()) == pytest.approx(0.008, rel=0.05)
@@ -173,32 +175,3 @@ def test_the_field_of_a_case_in_one_call(measured):
         own = [each["probability"] for each in words["hypotheses"] if each["parameter"] == name]
         assert sum(own) == pytest.approx(1.0)
     assert words["held_out"]["n"] == 0
-
-
-def population(geometric_mean, low, high, spread, beyond=None):
-    return {
-        "geometric_mean": geometric_mean, "low": low, "high": high, "spread_of_ln": spread,
-        "beyond_family": beyond,
-    }  # fmt: skip
-
-
-def test_the_population_of_a_cohort_is_the_prior(tmp_path):
-    one = {
-        "n_people": 12,
-        "population": {
-            "c_muscle_kpa": population(5.0, 4.0, 6.25, 0.3), "m": population(1.2, 1, 2, 0.3, "below 1.5")
-        },
-    }  # fmt: skip
-    path = tmp_path / "cohort.json"
-    path.write_text(json.dumps({"sites": {"LL_P": one, "LL_A": one}}), encoding="utf-8")
-    found = cohort_priors(path, "LL_P")
-    assert set(found) == {"c"}  # m lies beyond the family
-    assert np.exp(found["c"].mean) == pytest.approx(0.005)
-    assert found["c"].deviation == pytest.approx(np.hypot(0.3, np.log(6.25 / 4) / 3.92), rel=1e-3)
-    with pytest.raises(CaseError, match="no location 'X'"):
-        cohort_priors(path, "X")
-    with pytest.raises(CaseError, match="several locations"):
-        cohort_priors(path, None)
-    path.write_text("{}", encoding="utf-8")
-    with pytest.raises(CaseError, match="cannot be read"):
-        cohort_priors(path, "LL_P")

@@ -6,12 +6,20 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from limbcli.model import Array
-from limbcli.reporting.figures.style import BLUE, GREEN, VERMILION, new_figure, plain_log, style
+from limbcli.reporting.figures.style import (
+    BLUE,
+    GREEN,
+    VERMILION,
+    legend_below,
+    log_if_wide,
+    new_figure,
+    plain_log,
+    style,
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,16 +62,13 @@ def fit_walk(walks: Sequence[FitWalk]) -> Figure:
         for axes, name in zip(panels[1:], names, strict=True):
             axes.set(ylabel=_SYMBOLS.get(name, name), title=_SYMBOLS.get(name, name).split(" [")[0])
             values = np.concatenate([w.parameters[name] for w in walks if name in w.parameters])
-            if values.min() > 0 and values.max() > 5 * values.min():
-                axes.set_yscale("log")
-                plain_log(axes.yaxis)
+            log_if_wide(axes, "y", values)
         plain_log(panels[0].yaxis)
         last = max(1, *(len(walk.cost_n2) - 1 for walk in walks))
         for axes in panels:
             axes.set(xlabel="iteration", xlim=(-0.05 * last, 1.05 * last))
-            _whole_numbers(axes)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+            axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+        legend_below(figure, panels[0])
     return figure
 
 
@@ -80,9 +85,5 @@ def newton_residuals(residuals: Residuals) -> Figure:
         axes.axhline(1.0, color=VERMILION, lw=1.2, label="target")
         axes.set(xlabel="solver iteration (one line a load step)", ylabel="residual over its target [–]")
         axes.legend(loc="upper right")
-        _whole_numbers(axes)
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     return figure
-
-
-def _whole_numbers(axes: Axes) -> None:
-    axes.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -7,21 +7,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.tri import Triangulation
 
 from limbcli.model import Array, IntArray
-from limbcli.reporting.figures.section import (
-    cut_tetrahedra,
-    cut_triangles,
-    linear_tetrahedra,
-    linear_triangles,
-    on_segments,
-)
-from limbcli.reporting.figures.style import INK, QUIET, bare, new_figure, style
+from limbcli.reporting.figures.section import cut_tetrahedra, linear_tetrahedra, outline
+from limbcli.reporting.figures.style import INK, QUIET, bare, facets, legend_below, new_figure, style
 
 DISPLACEMENT_MAP, STRAIN_MAP = "YlGnBu", "YlOrRd"
 UNKNOWN = "#dfe4e8"
@@ -71,16 +65,14 @@ def section_figure(state: DeformedState) -> Figure:
             towards = "" if state.sides is None else f"\n(+ is {state.sides[0]})"
             axes.set(xlabel=f"x, along the probe's long side [mm]{towards}")
         panels[0].set(ylabel="z, outward along the skin normal [mm]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        if with_stretch and state.stretch is not None and not np.isfinite(state.stretch).all():
-            handles, labels = [*handles, Patch(facecolor=UNKNOWN)], [*labels, "not recorded"]
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        lacking = with_stretch and state.stretch is not None and not np.isfinite(state.stretch).all()
+        legend_below(figure, panels[0], *[Patch(facecolor=UNKNOWN, label="not recorded")] * lacking)
     return figure
 
 
 def _span(state: DeformedState) -> Array:
     """Size (3,) of what a section shows (mm): the tissue, and the probe in its final position."""
-    probe = [facets.ravel() for facets in state.probe.values()]
+    probe = [each.ravel() for each in state.probe.values()]
     shown = [state.points[np.unique(state.cells)]]
     shown += [state.points[np.unique(each)] + state.probe_shift for each in probe]
     return np.asarray(np.ptp(np.concatenate(shown), axis=0))
@@ -108,20 +100,8 @@ def _shortening_panel(axes: Axes, state: DeformedState) -> None:
     known = np.isfinite(percent) & np.isfinite(moved[cut.triangles]).all(axis=(1, 2))
     top = max(float(np.percentile(percent[known], 99.5)), 1e-6) if known.any() else 1.0
     corners = moved[:, [0, 2]][cut.triangles]
-    axes.add_collection(
-        PolyCollection(list(corners[~known]), facecolors=UNKNOWN, edgecolors="face", linewidths=0.2)
-    )
-    drawn = PolyCollection(
-        list(corners[known]),
-        array=percent[known],
-        cmap=STRAIN_MAP,
-        norm=Normalize(0.0, top),
-        edgecolors="face",
-        linewidths=0.2,
-    )
-    drawn.set_rasterized(True)
-    axes.add_collection(drawn)
-    axes.autoscale_view()
+    facets(axes, corners[~known], facecolors=UNKNOWN, rasterized=False)
+    drawn = facets(axes, corners[known], array=percent[known], cmap=STRAIN_MAP, norm=Normalize(0.0, top))
     _bar(axes, drawn, "largest shortening [%], element by element")
     axes.set_title("how much it is compressed")
 
@@ -132,21 +112,14 @@ def _bar(axes: Axes, drawn: ScalarMappable, label: str) -> None:
 
 def _outlines(axes: Axes, state: DeformedState) -> None:
     """Undeformed (dashed) and deformed skin, bone, and the probe in its final position."""
-    for facets, values, colour, dashes, label in (
+    for surface, values, colour, dashes, label in (
         (state.skin, state.points, QUIET, "--", "skin before"),
         (state.skin, state.points + state.displacement, INK, "-", "skin now"),
         (state.bone, state.points, BONE, "-", "bone"),
         (state.probe, state.points + state.probe_shift, "#d0342c", "-", "probe"),
     ):
-        lines = [_segments(state.points, kind, each, values) for kind, each in facets.items()]
-        if lines and sum(map(len, lines)):
+        lines = outline(state.points, surface, values)
+        if len(lines):
             axes.add_collection(
-                LineCollection(
-                    list(np.concatenate(lines)), colors=colour, linestyles=dashes, linewidths=1.3, label=label
-                )
+                LineCollection(list(lines), colors=colour, linestyles=dashes, linewidths=1.3, label=label)
             )
-
-
-def _segments(points: Array, kind: str, facets: IntArray, values: Array) -> Array:
-    ends, weight = cut_triangles(points, linear_triangles(kind, facets))
-    return on_segments(ends, weight, values)[:, :, [0, 2]]

@@ -96,18 +96,10 @@ def _draw_measured(axes: Axes, measured: MeasuredCurve) -> None:
     for part, face, label in ((~unloading, INK, "measured"), (unloading, "white", "measured, unloading")):
         if part.any():
             axes.errorbar(
-                measured.depth[part],
-                measured.force[part],
-                xerr=measured.depth_sd,
-                yerr=measured.force_sd,
-                fmt="o",
-                ms=5,
-                color=INK,
-                mfc=face,
-                elinewidth=0.9,
-                label=label + _noise_words(measured),
+                measured.depth[part], measured.force[part], xerr=measured.depth_sd, yerr=measured.force_sd,
+                fmt="o", ms=5, color=INK, mfc=face, elinewidth=0.9, label=label + _noise_words(measured),
                 zorder=5,
-            )
+            )  # fmt: skip
 
 
 def _unloading(measured: MeasuredCurve) -> NDArray[np.bool_]:

@@ -10,7 +10,16 @@ from matplotlib.figure import Figure
 
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import THRESHOLD_95
-from limbcli.reporting.figures.style import BLUE, INK, QUIET, VERMILION, new_figure, plain_log, style
+from limbcli.reporting.figures.style import (
+    BLUE,
+    INK,
+    QUIET,
+    VERMILION,
+    legend_below,
+    log_if_wide,
+    new_figure,
+    style,
+)
 
 _ROOMY = 3  # largest number of panels wide enough for labels at 1, 2 and 5
 _SYMBOLS = {"f_kappa": r"$f_\kappa$", "m": "m", "c": "c"}
@@ -56,14 +65,11 @@ def profile_figure(profiles: Sequence[ProfileCurve]) -> Figure:
             )
             axes.axhline(profile.limit, color=VERMILION, lw=1.0, ls="--", label="95 % limit")
             axes.axvline(profile.estimate, color=INK, lw=1.0, ls=":", label="the fit")
-            if values.min() > 0 and values.max() > 5 * values.min():
-                axes.set_xscale("log")
-                plain_log(axes.xaxis, few=len(profiles) > _ROOMY)
+            log_if_wide(axes, "x", values, few=len(profiles) > _ROOMY)
             symbol = _SYMBOLS.get(profile.name, profile.name)
             axes.set(xlabel=f"{symbol} [{profile.unit}]", title=symbol, ylim=(-0.3, 2 * profile.limit))
         panels[0].set_ylabel("increase in deviance, −2 Δ ln L [–]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=len(labels))
+        legend_below(figure, panels[0])
     return figure
 
 

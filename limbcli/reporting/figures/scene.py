@@ -125,13 +125,9 @@ def _surface(
     used, numbers = np.unique(np.concatenate([faces.ravel(), lines.ravel()]), return_inverse=True)
     n = faces.size
     return ScenePart(
-        name,
-        points[used],
-        displacement[used],
-        numbers[:n].reshape(-1, 3),
-        numbers[n:].reshape(-1, 2),
+        name, points[used], displacement[used], numbers[:n].reshape(-1, 3), numbers[n:].reshape(-1, 2),
         coloured,
-    )
+    )  # fmt: skip
 
 
 def _section(state: DeformedState) -> ScenePart:

@@ -3,6 +3,7 @@ linear ones."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -62,15 +63,14 @@ def linear_triangles(kind: str, facets: IntArray) -> IntArray:
     return np.asarray(facets[:, parts].reshape(-1, 3))
 
 
-def cut_tetrahedra(points: Array, tetrahedra: IntArray, *, axis: int = 1, height: float = 0.0) -> Section:
-    """Intersection of the tetrahedra with the plane `x[axis] = height`.
+def cut_tetrahedra(points: Array, tetrahedra: IntArray) -> Section:
+    """Intersection of the tetrahedra with the plane y = 0.
 
     >>> corners = np.array([[0.0, -1, 0], [0, 1, 0], [1, 1, 0], [0, 1, 1]])
     >>> cut_tetrahedra(corners, np.arange(4)[None]).triangles.shape
     (1, 3)
     """
-    side = points[:, axis] - height
-    side = np.where(side == 0.0, 1e-9, side)
+    side = _side(points)
     above = side[tetrahedra] > 0
     hit = np.flatnonzero(above.any(axis=1) & ~above.all(axis=1))
     crossed = above[hit][:, _EDGES[:, 0]] != above[hit][:, _EDGES[:, 1]]
@@ -87,12 +87,9 @@ def cut_tetrahedra(points: Array, tetrahedra: IntArray, *, axis: int = 1, height
     return Section(ends, weight, triangles.astype(np.int64), cells)
 
 
-def cut_triangles(
-    points: Array, triangles: IntArray, *, axis: int = 1, height: float = 0.0
-) -> tuple[IntArray, Array]:
+def cut_triangles(points: Array, triangles: IntArray) -> tuple[IntArray, Array]:
     """Intersection of facets with the plane: edge nodes (n, 2, 2) and weights (n, 2) of each segment."""
-    side = points[:, axis] - height
-    side = np.where(side == 0.0, 1e-9, side)
+    side = _side(points)
     above = side[triangles] > 0
     hit = triangles[above.any(axis=1) & ~above.all(axis=1)]
     edges = hit[:, [[0, 1], [1, 2], [2, 0]]]
@@ -100,6 +97,20 @@ def cut_triangles(
     ends = edges[crossed].reshape(-1, 2, 2)
     a, b = side[ends[..., 0]], side[ends[..., 1]]
     return ends, a / (a - b)
+
+
+def _side(points: Array) -> Array:
+    """Distance (n,) from the plane; no point lies on it."""
+    return np.where(points[:, 1] == 0.0, 1e-9, points[:, 1])
+
+
+def outline(points: Array, facets: Mapping[str, IntArray], values: Array) -> Array:
+    """Where facets, by kind, meet the plane: segments (n, 2, 2) in x and z of nodal positions `values`."""
+    lines = [np.zeros((0, 2, 2))]
+    for kind, each in facets.items():
+        ends, weight = cut_triangles(points, linear_triangles(kind, each))
+        lines.append(on_segments(ends, weight, values)[:, :, [0, 2]])
+    return np.concatenate(lines)
 
 
 def on_segments(ends: IntArray, weight: Array, values: Array) -> Array:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize, to_rgba
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
@@ -13,7 +12,7 @@ from matplotlib.patches import Patch
 from limbcli.model import Array, IntArray
 from limbcli.reporting.figures.deformed import BONE, DISPLACEMENT_MAP, UNKNOWN, DeformedState
 from limbcli.reporting.figures.section import linear_triangles
-from limbcli.reporting.figures.style import INK, bare, new_figure, style
+from limbcli.reporting.figures.style import INK, bare, facets, new_figure, style
 
 _ARROW = 14.0  # length of an arrow (mm)
 
@@ -22,8 +21,8 @@ def skin_figure(state: DeformedState) -> Figure:
     """The deformed skin in an oblique view, coloured by its displacement along z; bone in the cuts."""
     moved = state.points + state.displacement
     skin, cut, bone = (_triangles(each, moved) for each in (state.skin, state.cut, state.bone))
-    facets = np.concatenate([skin, cut, bone])
-    seen, depth_order, shade = _view(moved, facets)
+    shown = np.concatenate([skin, cut, bone])
+    seen, depth_order, shade = _view(moved, shown)
     colour = -state.displacement[skin, 2].mean(axis=1)
     with style():
         figure = new_figure(7.4, 4.6)
@@ -33,12 +32,7 @@ def skin_figure(state: DeformedState) -> Figure:
         plain = [np.tile(to_rgba(each), (len(at), 1)) for each, at in ((UNKNOWN, cut), (BONE, bone))]
         rgba = np.concatenate([palette.to_rgba(colour), *plain])
         rgba[: len(skin), :3] *= shade[: len(skin), None]
-        drawn = PolyCollection(
-            seen[facets][depth_order], facecolors=rgba[depth_order], edgecolors="face", linewidths=0.2
-        )
-        drawn.set_rasterized(True)
-        axes.add_collection(drawn)
-        axes.autoscale_view()
+        facets(axes, seen[shown][depth_order], facecolors=rgba[depth_order])
         bare(axes)
         axes.set_axis_off()
         _scale_bar(axes, 20.0)

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array
-from limbcli.reporting.figures.style import QUIET, bare, new_figure, style
+from limbcli.reporting.figures.style import QUIET, bare, facets, new_figure, style
 
 SPEED_MAP, DIFFERENCE_MAP = "viridis", "RdBu_r"
 MOST_LEVELS = 5
@@ -115,12 +114,7 @@ def _panel(axes: Axes, pixels: SweMap | None, norm: Normalize, colours: str, not
     half = 0.5 * _size(pixels)
     corners = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * half
     squares = np.column_stack([pixels.lateral, pixels.depth])[:, None, :] + corners
-    drawn = PolyCollection(
-        list(squares), array=pixels.speed_m_per_s, norm=norm, cmap=colours, edgecolors="face", linewidths=0.1
-    )
-    drawn.set_rasterized(True)
-    axes.add_collection(drawn)
-    axes.autoscale_view()
+    facets(axes, squares, array=pixels.speed_m_per_s, norm=norm, cmap=colours, linewidths=0.1)
 
 
 def _size(pixels: SweMap) -> Array:

@@ -5,19 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
-from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.collections import LineCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 
 from limbcli.model import Array, IntArray
-from limbcli.reporting.figures.section import (
-    cut_tetrahedra,
-    cut_triangles,
-    linear_tetrahedra,
-    linear_triangles,
-    on_segments,
-)
-from limbcli.reporting.figures.style import INK, bare, new_figure, style
+from limbcli.reporting.figures.section import cut_tetrahedra, linear_tetrahedra, outline
+from limbcli.reporting.figures.style import INK, bare, facets, new_figure, style
 
 _COLOURS = {"skin": INK, "bone": "#7a4b12"}
 
@@ -44,17 +38,11 @@ def stiffness_figure(section: StiffnessSection) -> Figure:
         span = np.ptp(corners, axis=0)
         figure = new_figure(6.4, min(max(5.2 * span[1] / span[0], 2.0), 6.0) + 1.6)
         axes = figure.add_subplot()
-        drawn = PolyCollection(
-            list(corners[cut.triangles]), array=section.c_kpa[parent[cut.cells]], cmap="viridis",
-            norm=_range(section.c_kpa), edgecolors="face", linewidths=0.2,
-        )  # fmt: skip
-        drawn.set_rasterized(True)
-        axes.add_collection(drawn)
-        for name, facets in section.surfaces.items():
-            lines = [_outline(section.points, kind, each) for kind, each in facets.items()]
-            axes.add_collection(
-                LineCollection(list(np.concatenate(lines)), colors=_COLOURS[name], lw=1.3, label=name)
-            )
+        values, scale = section.c_kpa[parent[cut.cells]], _range(section.c_kpa)
+        drawn = facets(axes, corners[cut.triangles], array=values, cmap="viridis", norm=scale)
+        for name, surface in section.surfaces.items():
+            lines = list(outline(section.points, surface, section.points))
+            axes.add_collection(LineCollection(lines, colors=_COLOURS[name], lw=1.3, label=name))
         (left, right), (top, bottom) = _ends(section.lateral), _ends(-section.depth)
         axes.plot(
             [left, right, right, left, left], [top, top, bottom, bottom, top],
@@ -78,8 +66,3 @@ def _range(values: Array) -> Normalize:
 
 def _ends(values: Array) -> tuple[float, float]:
     return float(values.min()), float(values.max())
-
-
-def _outline(points: Array, kind: str, facets: IntArray) -> Array:
-    ends, weight = cut_triangles(points, linear_triangles(kind, facets))
-    return on_segments(ends, weight, points)[:, :, [0, 2]]

@@ -49,20 +49,17 @@ def study_figure(rows: Sequence[StudyRow]) -> Figure:
             axes.grid(True, axis="x", linewidth=0.4, alpha=0.5)
         panels[0].set_yticks(range(len(rows)), [literal(name) for name in names], fontsize=8.5)
         panels[0].set_ylim(len(rows) - 0.5, -0.5)
-        figure.legend(handles=_marks(), loc="outside lower center", ncols=3, fontsize=8.5)
+        marks = [
+            Line2D([], [], color=INK, marker="o", markersize=5, lw=1.4, label="value, 95 % interval"),
+            Line2D([], [], color=_OPEN, marker="|", markersize=7, lw=1.4, label="no value, within (95 %)"),
+            Line2D([], [], color=_OPEN, marker=9, ms=8, lw=0, label="no value, beyond this end (95 %)"),
+        ]
+        figure.legend(handles=marks, loc="outside lower center", ncols=3, fontsize=8.5)
     return figure
 
 
 def _is_drawn(each: EstimateView | None) -> bool:
     return each is not None and bool(each.low or each.high or (each.is_sound and each.value))
-
-
-def _marks() -> list[Line2D]:
-    return [
-        Line2D([], [], color=INK, marker="o", markersize=5, lw=1.4, label="value, 95 % interval"),
-        Line2D([], [], color=_OPEN, marker="|", markersize=7, lw=1.4, label="no value, within (95 %)"),
-        Line2D([], [], color=_OPEN, marker=9, markersize=8, lw=0, label="no value, beyond this end (95 %)"),
-    ]
 
 
 def _draw(axes: Axes, k: int, each: EstimateView, name: str) -> None:

@@ -3,14 +3,18 @@
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import matplotlib
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.axis import Axis
+from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
+
+from limbcli.model import Array
 
 INK = "#22303c"
 QUIET = "#8a97a3"
@@ -91,6 +95,31 @@ def plain_log(axis: Axis, *, few: bool = False) -> None:
         axis.set_major_locator(LogLocator(subs=(1.0,) if wide else (1.0, 2.0, 5.0)))
         axis.set_minor_formatter(NullFormatter())
     axis.set_major_formatter("{x:g}")
+
+
+def legend_below(figure: Figure, axes: Axes, *more: Artist) -> None:
+    """A legend below all panels of what one of them shows, and of more with their own labels."""
+    handles = [*axes.get_legend_handles_labels()[0], *more]
+    figure.legend(handles=handles, loc="outside lower center", ncols=len(handles))
+
+
+def log_if_wide(axes: Axes, name: str, values: Array, *, few: bool = False) -> None:
+    """Make an axis ("x" or "y") logarithmic if positive values differ more than fivefold (`plain_log`)."""
+    if values.min() > 0 and values.max() > 5 * values.min():
+        axes.set(**{f"{name}scale": "log"})
+        plain_log(axes.xaxis if name == "x" else axes.yaxis, few=few)
+
+
+def facets(axes: Axes, corners: Sequence[Array] | Array, **looks: Any) -> PolyCollection:
+    """Filled polygons without gaps between them, drawn as pixels, and limits of the axes that show them.
+
+    corners : of each polygon (k, 2); looks : as of `PolyCollection`
+    """
+    looks = {"edgecolors": "face", "linewidths": 0.2, "rasterized": True, **looks}
+    drawn = PolyCollection(list(corners), **looks)
+    axes.add_collection(drawn)
+    axes.autoscale_view()
+    return drawn
 
 
 def bare(axes: Axes) -> None:

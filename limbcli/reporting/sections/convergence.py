@@ -10,21 +10,16 @@ from limbcli.reporting.figures.convergence import fit_walk, newton_residuals
 from limbcli.reporting.fit_view import OGDEN, StepView, read_fit_view
 from limbcli.reporting.numbers import number
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Picture, Reportlet, pictures_of, placeholder
+from limbcli.reporting.reportlet import Picture, Reportlet, pictures_of
 from limbcli.reporting.sections.assumed_geometry import SYMBOLS
+from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.reporting.sections.parameters import interval_text
 from limbcli.results import StageResult
 
-TITLE = "Did the identification converge?"
 
-
-def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
+@of_stage("fit", "convergence", "Did the identification converge?")
+def convergence(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet:
     """Misfit and parameters by iteration of the search; the solver's residuals if recorded."""
-    key = f"convergence-{site.name}"
-    outcome = page.outcomes.of("fit", site.name)
-    result = outcome.usable
-    if result is None:
-        return placeholder(key, TITLE, outcome)
     view = read_fit_view(result)
     pictures = []
     if view.walks:
@@ -34,10 +29,7 @@ def convergence(page: ReportData, site: SiteMaterial) -> Reportlet:
         alt = f"The solver's residual at site {site.name}, iteration by iteration, with its target."
         pictures.append(Picture(f"newton-{site.name}", alt, figure=newton_residuals(site.residuals)))
     return Reportlet(
-        key,
-        TITLE,
-        "neutral" if pictures else "missing",
-        site.name,
+        mood="neutral" if pictures else "missing",
         pictures=tuple(pictures),
         look_for="a misfit that falls and then stays flat, and parameters that settle",
         bad="a parameter that is still moving at the last iteration or runs to the edge of its panel, or "

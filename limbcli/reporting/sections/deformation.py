@@ -28,8 +28,7 @@ def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
         Picture(
             f"section-{site.name}",
             f"Section through the model at site {site.name} in the probe's long plane at {most:.1f} mm "
-            f"depth: displacement is largest under the probe and fades towards the bones and the cut "
-            f"faces.",
+            "depth: displacement is largest under the probe and fades towards the bones and the cut faces.",
             figure=section_figure(state),
             vector=False,
         ),
@@ -49,10 +48,9 @@ def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
         pictures=pictures,
         look_for="a smooth bowl under the probe that fades before it reaches the cut faces, skin that "
         "follows the probe's face, and the largest compression between probe and bone",
-        bad="skin that penetrates the probe, a checkerboard or spikes in the compression "
-        "(locking, or a nearly collapsed element), or displacement that is still large at a cut face (the "
-        "model is "
-        "too small)",
+        bad="skin that penetrates the probe, a checkerboard or spikes in the compression (locking, or a "
+        "nearly collapsed element), or displacement that is still large at a cut face (the model is too "
+        "small)",
         notes=tuple(_notes(site, state)),
     )
 

@@ -9,45 +9,31 @@ from limbcli.numbers.significant_digits import short
 from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import (
-    Mood,
-    PageTable,
-    Reportlet,
-    pictures_of,
-    placeholder,
-    table,
-)
+from limbcli.reporting.reportlet import Mood, PageTable, Reportlet, pictures_of, table
+from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.results import UNLIKE_OURS, StageResult
 
-TITLE = "What is missing in the model, if anything?"
 _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
 
 
-def diagnosis(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Verdict, gap before and after, candidates and undetectable effects; None if `diagnose` was not run."""
-    outcome = page.outcomes.maybe("diagnose", site.name)
-    if outcome is None:
-        return None
-    key = f"diagnosis-{site.name}"
-    if outcome.usable is None:
-        return placeholder(key, TITLE, outcome)
+@of_stage("diagnose", "diagnosis", "What is missing in the model, if anything?")
+def diagnosis(result: StageResult, page: ReportData, site: SiteMaterial) -> Reportlet:
+    """Verdict, gap before and after, candidates and undetectable effects."""
     try:
         fit = page.outcomes.of("fit", site.name).usable
-        return _section(key, site, outcome.usable, read_fit_view(fit) if fit else None)
+        return _section(site, result, read_fit_view(fit) if fit else None)
     except UNLIKE_OURS as error:
         text = f"Its result cannot be shown ({type(error).__name__}: {error}); run it again."
-        return Reportlet(key, TITLE, "failed", site.name, warned=(text,), command=outcome.command)
+        command = page.outcomes.of("diagnose", site.name).command
+        return Reportlet(mood="failed", warned=(text,), command=command)
 
 
-def _section(key: str, site: SiteMaterial, result: StageResult, fit: FitView | None) -> Reportlet:
+def _section(site: SiteMaterial, result: StageResult, fit: FitView | None) -> Reportlet:
     data = result.data
     mood = _MOODS.get(str(data["verdict"]), "warning")
     first, *others = [str(each) for each in data["sentences"]] or [""]
     return Reportlet(
-        key,
-        TITLE,
-        mood,
-        site.name,
+        mood=mood,
         pictures=pictures_of(
             result, {k: (f"diagnosis-{k}-{site.name}", words) for k, words in _PICTURES.items()}
         ),

@@ -108,9 +108,8 @@ def _notes(fit: StageResult | None) -> tuple[str, ...]:
     if isinstance(c, dict):
         notes.append(
             f"c was taken element by element from {c.get('map')}: {c.get('n_elements_within_image')} of "
-            f"{c.get('n_elements')} elements lie within the image; "
-            f"{quantity(c.get('low_kpa'), 'kPa')} to {quantity(c.get('high_kpa'), 'kPa')}, "
-            f"median {quantity(c.get('median_kpa'), 'kPa')}."
+            f"{c.get('n_elements')} elements lie within the image; {quantity(c.get('low_kpa'), 'kPa')} to "
+            f"{quantity(c.get('high_kpa'), 'kPa')}, median {quantity(c.get('median_kpa'), 'kPa')}."
         )
     return tuple(notes)
 

@@ -37,7 +37,12 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
     view = read_fit_view(outcome.result) if outcome.result is not None else None
     measured = site.measured
     if view is not None:
-        notes = [*_step_notes(view), _R2_CAVEAT]
+        notes = [
+            f"{step.label}: root-mean-square difference over all levels, first touch included, "
+            f"{quantity(step.rmse_n, 'N', digits=2)}, R² {quantity(step.r2, '', digits=4)}."
+            for step in view.steps
+        ]
+        notes.append(_R2_CAVEAT)
         measured = replace(measured, counted=_counted(view))
     gap = placeholder(key, TITLE, outcome) if outcome.status != "done" else None
     name = f"force-depth-{site.name}"
@@ -50,9 +55,8 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
         pictures=(picture,),
         look_for="the solid curve passes through the points and the differences scatter around zero, inside "
         "the grey band: one standard deviation of the noise that the fit counted, that of the depth included",
-        bad="differences that drift slowly from one side to the other (the model lacks something), "
-        "a curve that fits at one end only, or a start curve that already fits (the data are not "
-        "informative)",
+        bad="differences that drift slowly from one side to the other (the model lacks something), a curve "
+        "that fits at one end only, or a start curve that already fits (the data are not informative)",
         notes=tuple(notes) if not gap else (_NO_FIT, *gap.notes),
         warned=warned,
         failure=gap.failure if gap else None,
@@ -88,14 +92,6 @@ def _curves(page: ReportData, site: SiteMaterial) -> tuple[tuple[SimulatedCurve,
     except CaseError as error:
         return (), (f"{error.what}; {error.fix}.",)
     return (), ()
-
-
-def _step_notes(view: FitView) -> list[str]:
-    return [
-        f"{step.label}: root-mean-square difference over all levels, first touch included, "
-        f"{quantity(step.rmse_n, 'N', digits=2)}, R² {quantity(step.r2, '', digits=4)}."
-        for step in view.steps
-    ]
 
 
 def _alt(site: SiteMaterial, curves: tuple[SimulatedCurve, ...]) -> str:

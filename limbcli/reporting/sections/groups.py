@@ -52,18 +52,21 @@ def groups(
     told : warnings at the top of the page, which a section only refers to
     """
     sites = [_site(page, site) for site in page.sites]
-    together = [each for make in (joint, laws) if (each := make(page)) is not None]
-    whole = [each for make in (limb, socket) if (each := make(page)) is not None]
+    whole = _there(limb(page), socket(page))
     chapters = (
-        SectionGroup("chapter-parameters", "Parameters", (parameters(page), *together)),
+        SectionGroup("chapter-parameters", "Parameters", _there(parameters(page), joint(page), laws(page))),
         *sites,
-        *([SectionGroup("chapter-limb", "Whole limb", tuple(whole))] if whole else ()),
-        SectionGroup("chapter-segmentation", "Segmentation", (segmentation(page),)),
+        *([SectionGroup("chapter-limb", "Whole limb", whole)] if whole else ()),
+        SectionGroup("chapter-segmentation", "Segmentation", _there(segmentation(page))),
         SectionGroup("chapter-provenance", "Provenance", (methods(page, own), provenance(page, own))),
     )
     return tuple(
         replace(each, reportlets=tuple(_told_once(one, told) for one in each.reportlets)) for each in chapters
     )
+
+
+def _there(*reportlets: Reportlet | None) -> tuple[Reportlet, ...]:
+    return tuple(each for each in reportlets if each is not None)
 
 
 def _told_once(reportlet: Reportlet, told: Container[str]) -> Reportlet:
@@ -72,7 +75,7 @@ def _told_once(reportlet: Reportlet, told: Container[str]) -> Reportlet:
 
 
 def _site(page: ReportData, site: SiteMaterial) -> SectionGroup:
-    reportlets = [each for make in SITE_REPORTLETS if (each := make(page, site)) is not None]
+    reportlets = _there(*(make(page, site) for make in SITE_REPORTLETS))
     shown = [each for each in reportlets if not _is_gap(each)]
     gaps = [each for each in reportlets if _is_gap(each)]
     if len(gaps) > 1:

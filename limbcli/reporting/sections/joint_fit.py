@@ -9,41 +9,25 @@ from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import (
-    Cell,
-    PageTable,
-    Picture,
-    Reportlet,
-    pictures_of,
-    placeholder,
-    table,
-    worst_mood,
-)
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, pictures_of, table, worst_mood
 from limbcli.reporting.sections.model_checks import model_check_tables
+from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.reporting.sections.parameters import estimates_table
 from limbcli.results import StageResult
 
-TITLE = "What do depth and shear waves show together?"
 LAWS_TITLE = "Which law predicts held-out levels best?"
 
 
-def joint(page: ReportData) -> Reportlet | None:
-    """Parameters, curves and profiles of the joint fit; None if it was not run."""
-    outcome = page.outcomes.maybe("fit-joint")
-    if outcome is None:
-        return None
-    result = outcome.usable
-    if result is None:
-        return placeholder("fit-joint", TITLE, outcome)
+@of_stage("fit-joint", "fit-joint", "What do depth and shear waves show together?")
+def joint(result: StageResult, _: ReportData) -> Reportlet:
+    """Parameters, curves and profiles of the joint fit."""
     data = result.data
     estimates = read_estimates(data.get("parameters", {}), data.get("element"))
     sites = ", ".join(map(str, data.get("sites", [])))
     law = data.get("law_words") or data.get("law") or DASH
     met, sound = agreement_view(data), all(each.is_sound for each in estimates)
     return Reportlet(
-        "fit-joint",
-        TITLE,
-        worst_mood(met.mood, "fine" if sound and not result.warnings else "warning"),
+        mood=worst_mood(met.mood, "fine" if sound and not result.warnings else "warning"),
         pictures=_pictures(result, sites),
         tables=(estimates_table(f"Joint fit of {sites}: {law}; c is free", estimates), *_checks(data)),
         look_for="curves through the points of both columns, chi-square near its degrees of freedom, and "
@@ -73,10 +57,9 @@ def _checks(data: Mapping[str, Any]) -> list[PageTable]:
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
     notes = [
-        f"Fitted to the depths at the measured forces and the logarithms of all levels' speeds, each "
-        f"weighted by its stated noise: chi-square {quantity(data.get('chi_square'), '')} for "
-        f"{data.get('n_freedom', DASH)} "
-        "degrees of freedom."
+        "Fitted to the depths at the measured forces and the logarithms of all levels' speeds, each weighted "
+        f"by its stated noise: chi-square {quantity(data.get('chi_square'), '')} for "
+        f"{data.get('n_freedom', DASH)} degrees of freedom."
     ]
     if data.get("mu_along_kpa") is not None:
         notes.append(

@@ -7,9 +7,10 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, pictures_of, placeholder, table
+from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, pictures_of, table
+from limbcli.reporting.sections.of_stage import of_stage
+from limbcli.results import StageResult
 
-TITLE = "Is the model of the whole limb right?"
 _CAPTION = (
     "each coloured patch over its bone, the limb upright with its distal end below; sites left out and "
     "predicted from the others inside their intervals",
@@ -18,20 +19,13 @@ _CAPTION = (
 )
 
 
-def limb(page: ReportData) -> Reportlet | None:
-    """Picture of the named parts, and where the stiffness comes from; None if `limb` was not run."""
-    outcome = page.outcomes.maybe("limb")
-    if outcome is None:
-        return None
-    result = outcome.usable
-    if result is None:
-        return placeholder("limb", TITLE, outcome)
+@of_stage("limb", "limb", "Is the model of the whole limb right?")
+def limb(result: StageResult, _: ReportData) -> Reportlet:
+    """Picture of the named parts, and where the stiffness comes from."""
     alt = "The limb's model from four sides, its named patches and the sites."
     look_for, bad = _CAPTION
     return Reportlet(
-        "limb",
-        TITLE,
-        "warning" if result.warnings else "neutral",
+        mood="warning" if result.warnings else "neutral",
         pictures=pictures_of(result, {"picture": ("limb", alt)}),
         tables=(_stiffness(result.data["stiffness"]), *_left_out(result.data["stiffness"].get("field"))),
         look_for=look_for,

@@ -4,27 +4,20 @@ from __future__ import annotations
 
 from limbcli.reporting.numbers import figures_table
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import Reportlet, pictures_of, placeholder
+from limbcli.reporting.reportlet import Reportlet, pictures_of
+from limbcli.reporting.sections.of_stage import of_stage
+from limbcli.results import StageResult
 
-TITLE = "Is the mesh fine enough where it matters, and sound everywhere?"
 
-
-def mesh(page: ReportData, site: SiteMaterial) -> Reportlet:
+@of_stage("mesh", "mesh", "Is the mesh fine enough where it matters, and sound everywhere?")
+def mesh(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet:
     """Picture and quality figures of the mesh stage."""
-    key = f"mesh-{site.name}"
-    outcome = page.outcomes.of("mesh", site.name)
-    result = outcome.usable
-    if result is None:
-        return placeholder(key, TITLE, outcome)
     alt = (
         f"The mesh at site {site.name}: the skin with the probe's contact area, and a section with the bones."
     )
     figures = figures_table(f"Figures of the mesh at site {site.name}", result.data)
     return Reportlet(
-        key,
-        TITLE,
-        "warning" if result.warnings else "fine",
-        site.name,
+        mood="warning" if result.warnings else "fine",
         pictures=pictures_of(result, {"picture": (f"mesh-{site.name}", alt)}),
         more=(figures,) if figures.rows else (),
         look_for="small elements under the probe whose size grows smoothly outwards, bones as clean "

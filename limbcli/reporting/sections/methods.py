@@ -16,10 +16,9 @@ KEY, TITLE, FILE = "methods", "What could a paper say of the methods?", "methods
 # Keys are cited in square brackets in the text.
 REFERENCES: Mapping[str, str] = {
     "Ranger 2023": (
-        "Ranger BJ, Moerman KM, Anthony BW, Herr HM. Constitutive parameter "
-        "identification of transtibial residual limb soft tissue using ultrasound "
-        "indentation and shear wave elastography. J Mech Behav Biomed Mater 2023, 105541."
-        " doi 10.1016/j.jmbbm.2022.105541"
+        "Ranger BJ, Moerman KM, Anthony BW, Herr HM. Constitutive parameter identification of transtibial "
+        "residual limb soft tissue using ultrasound indentation and shear wave elastography. J Mech Behav "
+        "Biomed Mater 2023, 105541. doi 10.1016/j.jmbbm.2022.105541"
     ),
     "Raue 2009": (
         "Raue A et al. Structural and practical identifiability analysis of partially "
@@ -140,9 +139,8 @@ def _identification(fits: list[FitView]) -> str:
     return (
         f"{_TISSUE} The parameters were identified as published [Ranger 2023]: c was {source} and held "
         "fixed; f_kappa (with m = 2), then f_kappa and m, were fitted to the measured force over depth by "
-        f"least-squares iterations of the simulation ({solvers}). Intervals (95 %) are those of the "
-        "profile likelihood [Raue 2009]; they "
-        f"count {'; '.join(dict.fromkeys(map(_noise, fits)))}."
+        f"least-squares iterations of the simulation ({solvers}). Intervals (95 %) are those of the profile "
+        f"likelihood [Raue 2009]; they count {'; '.join(dict.fromkeys(map(_noise, fits)))}."
     )
 
 

@@ -155,7 +155,10 @@ def _site(page: ReportData, site: SiteMaterial) -> SiteGlance:
     outcome = page.outcomes.of("fit", site.name)
     stages = [page.outcomes.of("segment")]
     stages += [each for each in page.outcomes.all if each.site == site.name]
-    pills = tuple(_pill(each) for each in stages)
+    pills = tuple(
+        StageBadge(each.stage, *(("missing", "held up") if each.held_by else _PILL_WORDS[each.status]))
+        for each in stages
+    )
     result = outcome.usable
     if result is None:
         stopped = next((each for each in stages if each.status == "failed"), None)
@@ -186,12 +189,6 @@ def _on_limb(glance: SiteGlance, site: SiteMaterial) -> SiteGlance:
     alt = f"The limb {limb.view.name}, with the probe's face at site {site.name}: {limb.words}."
     picture = Picture(f"place-{site.name}", alt, limb_place_figure(limb), vector=False)
     return replace(glance, place=f"{limb.words}; {glance.place}", picture=picture)
-
-
-def _pill(outcome: Outcome) -> StageBadge:
-    return StageBadge(
-        outcome.stage, *(("missing", "held up") if outcome.held_by else _PILL_WORDS[outcome.status])
-    )
 
 
 def _facts(view: FitView) -> tuple[Fact, ...]:

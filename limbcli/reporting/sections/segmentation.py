@@ -7,24 +7,17 @@ from typing import Any
 
 from limbcli.reporting.numbers import DASH, cell, figures_table
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import (
-    Cell,
-    PageTable,
-    Reportlet,
-    pictures_of,
-    placeholder,
-    table,
-)
+from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, pictures_of, table
+from limbcli.reporting.sections.of_stage import of_stage
+from limbcli.results import StageResult
 
-KEY, TITLE = "segmentation", "Are skin and bones outlined correctly?"
 TITLE_ASSUMED = "What is assumed about the limb's shape?"
 _CAPTION = (
     "each outline follows the edge it belongs to in every slice, and the dark bone cortex lies inside the "
     "bone outline",
     "an outline that jumps between slices, cuts through skin, leaves out a bone's dark rim, or encloses a "
-    "vein; "
-    "a bone that is missing in some slices. Correct the label map in 3D Slicer and enter it as “labels” "
-    "in case.toml",
+    "vein; a bone that is missing in some slices. Correct the label map in 3D Slicer and enter it as "
+    "“labels” in case.toml",
 )
 _CAPTION_ASSUMED = (
     "the beam ends on the bone, and skin and bone lie as they do on the B-mode image",
@@ -34,12 +27,9 @@ _CAPTION_ASSUMED = (
 _HANDLED = {"markers", "geometry"}
 
 
-def segmentation(page: ReportData) -> Reportlet:
+@of_stage("segment", "segmentation", "Are skin and bones outlined correctly?")
+def segmentation(result: StageResult, page: ReportData) -> Reportlet:
     """Contact sheet, markers and numbers of the segmentation."""
-    outcome = page.outcomes.of("segment")
-    result = outcome.usable
-    if result is None:
-        return placeholder(KEY, TITLE, outcome)
     alt = f"Slices of the imaging of subject {page.case.subject} with outlines of skin and bones."
     if page.case.imaging.assumed:
         alt = f"Sections of the assumed limb of subject {page.case.subject}: skin, bone and beam."
@@ -48,9 +38,8 @@ def segmentation(page: ReportData) -> Reportlet:
     figures = figures_table("Figures of the segmentation", rest)
     look_for, bad = _CAPTION_ASSUMED if page.case.imaging.assumed else _CAPTION
     return Reportlet(
-        KEY,
-        TITLE_ASSUMED if page.case.imaging.assumed else TITLE,
-        "warning" if result.warnings or _verdict(result.data) not in ("", "good") else "fine",
+        title=TITLE_ASSUMED if page.case.imaging.assumed else "",
+        mood="warning" if result.warnings or _verdict(result.data) not in ("", "good") else "fine",
         pictures=pictures_of(result, {"contact_sheet": ("segmentation", alt)}),
         tables=tables,
         more=(figures,) if figures.rows else (),

@@ -11,34 +11,19 @@ import numpy as np
 from limbcli.reporting.figures.scene import pressure_scene
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import (
-    Cell,
-    PageTable,
-    Picture,
-    Reportlet,
-    pictures_of,
-    placeholder,
-    table,
-)
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, pictures_of, table
+from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.results import StageResult
 
-TITLE = "How does the socket press on the limb?"
 _SCENE = ("points", "displacement", "triangles", "pressure_kpa")
 _COLUMNS = ("mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa")
 
 
-def socket(page: ReportData) -> Reportlet | None:
-    """Pressure and shear by patch; None if `socket` was not run."""
-    outcome = page.outcomes.maybe("socket")
-    if outcome is None:
-        return None
-    result = outcome.usable
-    if result is None:
-        return placeholder("socket", TITLE, outcome)
+@of_stage("socket", "socket", "How does the socket press on the limb?")
+def socket(result: StageResult, _: ReportData) -> Reportlet:
+    """Pressure and shear by patch."""
     return Reportlet(
-        "socket",
-        TITLE,
-        "warning" if result.warnings else "neutral",
+        mood="warning" if result.warnings else "neutral",
         pictures=_pictures(result),
         tables=(_table(result.data),),
         look_for="pressure spread over the patches that bear load, and forces that leave nothing over",

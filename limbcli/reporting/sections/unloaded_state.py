@@ -10,40 +10,24 @@ from limbcli.reporting.agreement_view import agreement_view
 from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
-from limbcli.reporting.reportlet import (
-    Cell,
-    PageTable,
-    Picture,
-    Reportlet,
-    pictures_of,
-    placeholder,
-    table,
-    worst_mood,
-)
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, pictures_of, table, worst_mood
+from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.reporting.sections.parameters import estimates_table
 from limbcli.results import StageResult
 
-TITLE = "In which state is the tissue least stiff, and in which is it unloaded?"
 _WAYS = ("along", "around")
 
 
-def states(page: ReportData, site: SiteMaterial) -> Reportlet | None:
-    """Speed at rest over stretch, the states' stretches and the common law; None if it was not fitted."""
-    outcome = page.outcomes.maybe("fit-states", site.name)
-    if outcome is None:
-        return None
-    key = f"fit-states-{site.name}"
-    result = outcome.usable
-    if result is None:
-        return placeholder(key, TITLE, outcome)
+@of_stage(
+    "fit-states", "fit-states", "In which state is the tissue least stiff, and in which is it unloaded?"
+)
+def states(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet:
+    """Speed at rest over stretch, the states' stretches and the common law."""
     data = result.data
     met = agreement_view(data)
     determined = not data.get("undetermined")
     return Reportlet(
-        key,
-        TITLE,
-        worst_mood(met.mood, "fine" if determined and not result.warnings else "warning"),
-        site.name,
+        mood=worst_mood(met.mood, "fine" if determined and not result.warnings else "warning"),
         pictures=_pictures(result, site.name),
         tables=(_parameters(data), _states(data)),
         look_for="states on both sides of the lowest point, a curve through all of them, and one law "
@@ -115,14 +99,12 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         if found is not None:
             notes.append(
                 f"The tissue is unloaded {way} the limb at a stretch of {found.get('headline')}, on the "
-                "scale of the case. This is not where the wave speed is lowest: the "
-                "speed also depends on "
+                "scale of the case. This is not where the wave speed is lowest: the speed also depends on "
                 "the direction of stretch."
             )
     for way, each in (data.get("taken_as_unloaded") or {}).items():
         notes.append(
-            f"{way.capitalize()} the limb all states have the same stretch "
-            f"({quantity(each, '')}); the "
+            f"{way.capitalize()} the limb all states have the same stretch ({quantity(each, '')}); the "
             "tissue is taken as unloaded there."
         )
     notes.append(
@@ -147,12 +129,10 @@ def _by_states(way: str, found: Mapping[str, Any]) -> str:
         return f"The measured speeds alone show no upward curvature {way} the limb within their noise."
     if not found.get("told"):
         return (
-            f"A parabola through the measured speeds alone has its minimum at "
-            f"{found['stretch']:.2f} {way} the "
-            "limb, but its curvature is within the noise."
+            f"A parabola through the measured speeds alone has its minimum at {found['stretch']:.2f} {way} "
+            "the limb, but its curvature is within the noise."
         )
     return (
-        f"A parabola through the measured speeds alone has its minimum at {found['stretch']:.2f} "
-        f"{way} the limb "
-        f"(95 %: {found['low']:.2f} to {found['high']:.2f})."
+        f"A parabola through the measured speeds alone has its minimum at {found['stretch']:.2f} {way} the "
+        f"limb (95 %: {found['low']:.2f} to {found['high']:.2f})."
     )

@@ -103,13 +103,9 @@ def _remade_joint(
         gain_deviation=requested.get("gain_deviation"),
     )  # fmt: skip
     return lambda: fit_joint(
-        case,
-        out=out,
-        sites=list(sites),
-        joint=joint,
-        options=options_of(FitOptions, requested),
+        case, out=out, sites=list(sites), joint=joint, options=options_of(FitOptions, requested),
         progress=progress,
-    )
+    )  # fmt: skip
 
 
 def _remade_elements(

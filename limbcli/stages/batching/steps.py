@@ -55,11 +55,7 @@ def site_steps(
         return build_feb(case, options=tissue_options, templates=templates, **common)
 
     steps = [
-        SiteStep(
-            "mesh",
-            parts_of(meshed),
-            lambda: mesh(case, **meshed, **common),
-        ),
+        SiteStep("mesh", parts_of(meshed), lambda: mesh(case, **meshed, **common)),
         SiteStep("build-feb", (*of_model, *parts_of(tissue)), build),
         SiteStep(
             "run",

@@ -214,10 +214,8 @@ def _shares(parts: Array, total: Array, names: Sequence[str]) -> dict[str, float
 def _changed(limb: LimbModel, c: float, m: float) -> LimbModel:
     """The limb with c (and kappa) and m of its tissue multiplied by these factors."""
     law = limb.materials["tissue"]
-    changes = {}
-    for name, value in law.parameters.items():
-        factor = m if name.startswith("m") else c
-        changes[name] = _times(value, factor)
+    values = law.parameters.items()
+    changes = {name: _times(value, m if name.startswith("m") else c) for name, value in values}
     return replace(limb, materials={**limb.materials, "tissue": law.with_parameters(**changes)})
 
 

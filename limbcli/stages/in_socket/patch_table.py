@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.files.plain_text import write_rows
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.sockets.donning import SocketState
@@ -80,10 +80,9 @@ def write_patches(
     """Write patches.csv; intervals : 95 %, by (load, patch, quantity); the columns are empty without."""
     own = [each.name for each in fields(PatchPressure)]
     ends = [f"{name}_{end}" for name in QUANTITIES for end in ("low", "high")]
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow([*own, *ends])
-        for row in rows:
-            values = [f"{each:.6g}" if isinstance(each, float) else each for each in vars(row).values()]
-            found = [intervals.get((row.load_n, row.patch, name)) for name in QUANTITIES]
-            table.writerow([*values, *(f"{x:.6g}" if each else "" for each in found for x in each or (0, 0))])
+    cells = []
+    for row in rows:
+        values = [f"{each:.6g}" if isinstance(each, float) else each for each in vars(row).values()]
+        found = [intervals.get((row.load_n, row.patch, name)) for name in QUANTITIES]
+        cells.append([*values, *(f"{x:.6g}" if each else "" for each in found for x in each or (0, 0))])
+    write_rows(path, [*own, *ends], cells)

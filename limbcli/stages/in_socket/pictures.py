@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PolyCollection
 from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
@@ -33,7 +32,6 @@ def pressure_picture(path: Path, together: LimbInSocket, pressure_kpa: Array, ti
     scale = Normalize(0.0, max(most, 1e-3))
     lateral = lateral_of(together.frame)
     figure = Figure(figsize=(14, 6.4), layout="constrained")
-    FigureCanvasAgg(figure)
     axes = figure.subplots(1, 5, gridspec_kw={"width_ratios": [1, 1, 1, 1, 2]})
     views = (
         ("from the front", _FRONT), ("from the lateral side", lateral), ("from behind", -_FRONT),

@@ -2,35 +2,27 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from limbcli.case import Case
-from limbcli.errors import CaseError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
+from limbcli.numbers.units import kpa_from_mpa
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageWriter
 from limbcli.stages.limb_field.site_results import LimbReadings, site_results
 from limbcli.stiffness_field import (
     LABELS,
-    PRIORS,
-    FieldPrior,
     StiffnessField,
     contradictions,
     held_out,
     limb_coordinates,
-    prior_of,
     stiffness_field,
 )
-
-_REACH = 2 * 1.959964  # width of a 95 % interval, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,77 +95,22 @@ class CaseField:
 
 
 def case_field(
-    case: Case,
-    chain: Chain,
-    skin: Triangles,
-    bones: Sequence[Triangles],
-    axis: Array,
-    *,
-    writer: StageWriter | None = None,
-    cohort: Path | None = None,
-    location: str | None = None,
+    case: Case, chain: Chain, skin: Triangles, bones: Sequence[Triangles], axis: Array, writer: StageWriter
 ) -> CaseField:
     """The field of a case from the results in its output folder.
 
     skin, bones, axis : mm, patient LPS; the axis towards proximal
-    cohort, location : cohort.json, and its location whose population is the prior
 
     Raises
     ------
     CaseError
-        If a result is out of date, or the cohort has no such location.
+        If a result is out of date.
     MeasurementError, FitError, MeshError
         If a map, a reading or the surfaces cannot be used.
     """
     results = site_results(case, chain, writer)
-    priors = PRIORS if cohort is None else {**PRIORS, **cohort_priors(cohort, location)}
     limb = limb_coordinates(skin, bones, axis, where=case.subject)
-    return CaseField(stiffness_field(limb, results.sites, results.maps, priors=priors), results)
-
-
-def cohort_priors(path: Path, location: str | None) -> dict[str, FieldPrior]:
-    """Priors of c and m from the population of a cohort's location.
-
-    The population's spread between people and the uncertainty of its mean are added. m is left out where it
-    lies beyond the range of the cohort's models.
-
-    location : None: the only one there is
-
-    Raises
-    ------
-    CaseError
-        If the file is no cohort.json, or has no such location.
-    """
-    try:
-        sites: Mapping[str, Any] = json.loads(path.read_text(encoding="utf-8"))["sites"]
-        name = location or (next(iter(sites)) if len(sites) == 1 else "")
-        if name not in sites:
-            raise CaseError(
-                f"the cohort has no location {name!r}" if name else "the cohort has several locations",
-                where=str(path),
-                fix=f"give one of {', '.join(sites)}",
-            )
-        population = sites[name]["population"]
-        out = {}
-        for key, parameter in (("c_muscle_kpa", "c"), ("m", "m")):
-            own = population[key]
-            if own["beyond_family"]:
-                continue
-            scale = mpa_from_kpa(1.0) if parameter == "c" else 1.0
-            deviation = np.hypot(own["spread_of_ln"], np.log(own["high"] / own["low"]) / _REACH)
-            out[parameter] = prior_of(
-                parameter,
-                mean=float(np.log(own["geometric_mean"] * scale)),
-                deviation=float(deviation),
-                source=f"cohort, location {name}, {sites[name]['n_people']} people",
-            )
-        return out
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise CaseError(
-            f"the cohort's result cannot be read ({type(error).__name__}: {error})",
-            where=str(path),
-            fix="give the cohort.json that `limbcli cohort` wrote",
-        ) from error
+    return CaseField(stiffness_field(limb, results.sites, results.maps), results)
 
 
 def _in_kpa(name: str, values: Sequence[float | None]) -> list[float | None]:

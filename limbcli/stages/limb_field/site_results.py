@@ -44,7 +44,7 @@ class LimbReadings:
     left_out: dict[str, str] = field(default_factory=dict)
 
 
-def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) -> LimbReadings:
+def site_results(case: Case, chain: Chain, writer: StageWriter) -> LimbReadings:
     """The readings of all sites that were meshed, and fitted or diagnosed or have a map at rest.
 
     writer : records the results used
@@ -63,7 +63,7 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
         mesh = chain.present("mesh", site=site.name)
         if mesh is None:
             found.left_out[site.name] = "it is not meshed"
-            _note_absent(writer, "mesh", site)
+            writer.without_result("mesh", site.name)
             continue
         try:
             _add(found, site, mesh, chain, writer)
@@ -76,14 +76,12 @@ def site_results(case: Case, chain: Chain, writer: StageWriter | None = None) ->
     return found
 
 
-def _add(
-    found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter | None
-) -> None:
+def _add(found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter) -> None:
     frame = mesh.data["frame"]
     fit, diagnosis = (chain.present(stage, site=site.name) for stage in ("fit", "diagnose"))
     for stage, result in (("fit", fit), ("diagnose", diagnosis)):
         if result is None:
-            _note_absent(writer, stage, site)
+            writer.without_result(stage, site.name)
     added = list(diagnosis.data["added"]) if diagnosis is not None else []
     used = diagnosis if diagnosis is not None and (added or fit is None) else fit
     if used is not None:
@@ -94,9 +92,8 @@ def _add(
             skin_bone=float(mesh.data["checks"].get("skin_bone_mm") or _DEEP_MM),
         )  # fmt: skip
         found.sites.append(SiteReading(site.name, region, values, correlation, source))
-        if writer is not None:
-            writer.used_result(used, data=_OF_FIT if used is fit else _OF_DIAGNOSIS)
-            writer.used_result(mesh, data=["frame", "checks/skin_bone_mm"])
+        writer.used_result(used, data=_OF_FIT if used is fit else _OF_DIAGNOSIS)
+        writer.used_result(mesh, data=["frame", "checks/skin_bone_mm"])
     if site.swe_maps is not None:
         misread = [name for name in added if name in _MISREAD]
         if misread:
@@ -107,11 +104,6 @@ def _add(
             found.maps.append(read)
     elif used is None:
         found.left_out[site.name] = "it is neither fitted nor diagnosed, and has no maps"
-
-
-def _note_absent(writer: StageWriter | None, stage: str, site: Site) -> None:
-    if writer is not None:
-        writer.without_result(stage, site.name)
 
 
 def site_length(mesh: StageResult) -> float:
@@ -161,9 +153,7 @@ def _interval(key: str, value: float, low: float | None, high: float | None) -> 
     return Interval(mpa_from_kpa(value), *ends)
 
 
-def _map_at_rest(
-    site: Site, mesh: StageResult, writer: StageWriter | None, *, has_c: bool
-) -> MapReading | str:
+def _map_at_rest(site: Site, mesh: StageResult, writer: StageWriter, *, has_c: bool) -> MapReading | str:
     """The map of level 0, or why there is none.
 
     Where the site's c is known it comes from the same speeds, so that the map says only how c varies.
@@ -179,8 +169,7 @@ def _map_at_rest(
     if not len(swe):
         return f"{path.name} has no pixels"
     raise_errors(check_width(swe, site_length(mesh)), MeasurementError)
-    if writer is not None:
-        writer.used(f"swe_map {site.name}", path)
+    writer.used(f"swe_map {site.name}", path)
     noise = pixel_noise(maps_of(site, levels) or [], usual=site.noise.swe_pixel_fraction)
     noise = PixelNoise(max(noise.deviation, site.noise.swe_pixel_fraction), noise.smoothing, noise.share)
     return map_reading(

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import jinja2
 import numpy as np
 
 from limbcli.config import templates_folder
 from limbcli.feb.write import write_feb
+from limbcli.files.plain_text import write_rows
+from limbcli.files.template_rendering import plain_text_templates
 from limbcli.meshing.export import write_vtu
 from limbcli.meshing.limb_parts import LimbFrame, LimbParts
 from limbcli.meshing.surfaces import Triangles, join
@@ -77,31 +77,22 @@ def write_stl(surface: Triangles, path: Path) -> None:
 
 def _write_parts(files: LimbFiles, path: Path) -> None:
     """One row per patch (area, centroid) and landmark (its skin node)."""
-    mesh = files.model.mesh
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(["kind", "name", "x_mm", "y_mm", "z_mm", "area_mm2", "facets"])
-        for name, mask in files.parts.patches.items():
-            areas = files.skin.areas[mask]
-            middle = np.average(files.skin.centroids[mask], axis=0, weights=areas)
-            at = [f"{each:.3f}" for each in middle]
-            table.writerow(["patch", name, *at, f"{areas.sum():.1f}", int(mask.sum())])
-        for name, nodes in mesh.node_sets.items():
-            kind, _, short = name.partition("_")
-            if kind in ("landmark", "site"):
-                table.writerow([kind, short, *(f"{each:.3f}" for each in mesh.points[nodes[0]]), "", ""])
-        for name, why in files.parts.missing.items():
-            table.writerow(["missing", name, "", "", "", "", why])
+    mesh, rows = files.model.mesh, []
+    for name, mask in files.parts.patches.items():
+        areas = files.skin.areas[mask]
+        middle = np.average(files.skin.centroids[mask], axis=0, weights=areas)
+        at = [f"{each:.3f}" for each in middle]
+        rows.append(["patch", name, *at, f"{areas.sum():.1f}", int(mask.sum())])
+    for name, nodes in mesh.node_sets.items():
+        kind, _, short = name.partition("_")
+        if kind in ("landmark", "site"):
+            rows.append([kind, short, *(f"{each:.3f}" for each in mesh.points[nodes[0]]), "", ""])
+    rows += [["missing", name, "", "", "", "", why] for name, why in files.parts.missing.items()]
+    write_rows(path, ("kind", "name", "x_mm", "y_mm", "z_mm", "area_mm2", "facets"), rows)
 
 
 def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> str:
     """The README in plain text."""
-    environment = jinja2.Environment(
-        loader=jinja2.FileSystemLoader(templates_folder() / "limb"),
-        undefined=jinja2.StrictUndefined,
-        trim_blocks=True,
-        keep_trailing_newline=True,
-    )
     data: dict[str, Any] = writer.data
     stiffness, frame = data["stiffness"], data["frame"]
     layers = [
@@ -113,27 +104,31 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
         f"site {name}: c = {each['c_kpa'][0]:.4g} kPa, from {each['source']}"
         for name, each in stiffness.get("field", {}).get("sites", {}).items() if "c_kpa" in each
     ]  # fmt: skip
-    return environment.get_template("README.txt.j2").render(
-        subject=writer.subject,
-        version=__version__,
-        axis=_vector(frame["axis_lps"], 4),
-        origin=_vector(frame["origin_lps"], 1),
-        n_nodes=data["n_nodes"],
-        n_cells=data["n_cells"],
-        element=data["element"],
-        size=f"{data['size_mm']:.1f}",
-        surfaces=", ".join(name for name in data["surfaces"] if not name.startswith("patch_")),
-        patches=", ".join(files.parts.patches) or "none",
-        missing=files.parts.missing,
-        m=f"{stiffness['m']:.4g}",
-        f_kappa=f"{stiffness['f_kappa']:.4g}",
-        c_kpa=f"{stiffness['c_kpa']:.4g}",
-        c_source=stiffness["source"],
-        labels=", ".join(f"{k} {name}" for k, name in enumerate(LABELS)),
-        layers=layers,
-        sites=sites,
-        source=segmented.data.get("source", "segment"),
-        warnings=list(dict.fromkeys(writer.warnings)),
+    return (
+        plain_text_templates(templates_folder() / "limb")
+        .get_template("README.txt.j2")
+        .render(
+            subject=writer.subject,
+            version=__version__,
+            axis=_vector(frame["axis_lps"], 4),
+            origin=_vector(frame["origin_lps"], 1),
+            n_nodes=data["n_nodes"],
+            n_cells=data["n_cells"],
+            element=data["element"],
+            size=f"{data['size_mm']:.1f}",
+            surfaces=", ".join(name for name in data["surfaces"] if not name.startswith("patch_")),
+            patches=", ".join(files.parts.patches) or "none",
+            missing=files.parts.missing,
+            m=f"{stiffness['m']:.4g}",
+            f_kappa=f"{stiffness['f_kappa']:.4g}",
+            c_kpa=f"{stiffness['c_kpa']:.4g}",
+            c_source=stiffness["source"],
+            labels=", ".join(f"{k} {name}" for k, name in enumerate(LABELS)),
+            layers=layers,
+            sites=sites,
+            source=segmented.data.get("source", "segment"),
+            warnings=list(dict.fromkeys(writer.warnings)),
+        )
     )
 
 

@@ -94,14 +94,10 @@ def holds_of(table: Mapping[str, Any]) -> tuple[Trace, list[Hold]]:
     trace = read_recording(
         path,
         RecordingFormat(
-            columns=table["columns"],
-            time_unit=table["time_unit"],
-            force_unit=table["force_unit"],
-            length_unit=table["length_unit"],
-            separator=table["separator"],
-            decimal=table["decimal"],
+            columns=table["columns"], time_unit=table["time_unit"], force_unit=table["force_unit"],
+            length_unit=table["length_unit"], separator=table["separator"], decimal=table["decimal"],
         ),
-    )
+    )  # fmt: skip
     if table["tare_s"] is not None:
         tare = (float(table["tare_s"][0]), float(table["tare_s"][1]))
         mass, axis = float(table["probe_mass_kg"]), table["axis"]
@@ -137,7 +133,8 @@ def _report_holds(
             if hold.depth_drift_mm_per_s is not None:
                 drift += f", {1000 * hold.depth_drift_mm_per_s:.1f} um/s"
             writer.warnings.append(f"{where}: creep continues at its end ({drift})")
-        if phase[k] == "load" and hold.overshoot > max(0.5, 5 * noise) and not _follows_unloading(phase, k):
+        turning = k > 0 and phase[k - 1] == "unload"  # the minimum between two cycles
+        if phase[k] == "load" and hold.overshoot > max(0.5, 5 * noise) and not turning:
             writer.warnings.append(f"{where}: the force overshot by {hold.overshoot:.2f} N before it")
         if hold.n_dropouts:
             gaps = "1 gap" if hold.n_dropouts == 1 else f"{hold.n_dropouts} gaps"
@@ -171,11 +168,6 @@ def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
                 "twice, unless it was held twice; raise hold_s or hold_tolerance_n until they are one"
             )
     return found
-
-
-def _follows_unloading(phase: Sequence[str], k: int) -> bool:
-    """Whether level k follows unloading, as does the minimum between two cycles."""
-    return k > 0 and phase[k - 1] == "unload"
 
 
 def _report_doubtful_holds(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:

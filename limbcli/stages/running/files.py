@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections import Counter
 from pathlib import Path
 
@@ -12,6 +11,7 @@ from limbcli.case import Site
 from limbcli.case.noting import unnoted
 from limbcli.drawing import save_figure
 from limbcli.feb.outline import Outline
+from limbcli.files.plain_text import write_rows
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array
 from limbcli.results import StageWriter
@@ -44,14 +44,10 @@ def write_simulation(
 ) -> None:
     """Write the data of run.json, force-depth.csv and force-depth.png."""
     writer.data.update(
-        solver=simulation.solver,
-        solver_version=simulation.version,
-        linear_solver=simulation.linear_solver,
-        n_steps=int(np.count_nonzero(simulation.times > 0)),
-        n_iterations=simulation.n_iterations,
-        n_factorisations=simulation.n_factorisations,
-        solve_seconds=simulation.seconds,
-    )
+        solver=simulation.solver, solver_version=simulation.version, linear_solver=simulation.linear_solver,
+        n_steps=int(np.count_nonzero(simulation.times > 0)), n_iterations=simulation.n_iterations,
+        n_factorisations=simulation.n_factorisations, solve_seconds=simulation.seconds,
+    )  # fmt: skip
     writer.summary.append(
         f"{simulation.solver} {simulation.version}: {writer.data['n_steps']} steps,"
         f" {simulation.n_iterations} iterations, {simulation.n_factorisations} factorisations,"
@@ -74,7 +70,8 @@ def write_simulation(
         found = travel(body, simulation.rigid[body])
         (writer.summary if found.touches else writer.warnings).append(found.note)
         curve = np.stack([simulation.times, found.depth, found.force], axis=1)[simulation.times > 0]
-    write_curve(writer.file("force_depth", "force-depth.csv"), curve)
+    rows = ([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist())
+    write_rows(writer.file("force_depth", "force-depth.csv"), COLUMNS, rows)
     writer.data.update(
         probe=body,
         max_depth_mm=float(curve[:, 1].max()),
@@ -128,13 +125,6 @@ def force_depth_rows(simulation: Simulation, body: str) -> Array:
     return np.asarray(rows[simulation.times > 0])
 
 
-def write_curve(path: Path, curve: Array) -> None:
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.writer(stream)
-        table.writerow(COLUMNS)
-        table.writerows([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist())
-
-
 def _levels(curve: Array, must_points: tuple[float, ...]) -> list[dict[str, float]]:
     return [dict(zip(COLUMNS, row, strict=True)) for row in at_must_points(curve, must_points).tolist()]
 
@@ -152,13 +142,9 @@ def at_must_points(curve: Array, must_points: tuple[float, ...]) -> Array:
 
 
 def draw_curve(
-    path: Path,
-    curve: Array,
-    must_points: tuple[float, ...],
-    simulation: Simulation,
-    levels: Levels | None,
+    path: Path, curve: Array, must_points: tuple[float, ...], simulation: Simulation, levels: Levels | None,
     site: Site | None,
-) -> None:
+) -> None:  # fmt: skip
     """Plot simulated force against depth with the levels marked, and the measured points if there are any."""
     from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
     from limbcli.reporting.figures.style import new_figure, style

@@ -229,8 +229,7 @@ def _disagreement(name: str, measured: float, made: float | None, names: list[st
     lies = "its beam misses the bone" if made is None else f"it lies {made:.1f} mm deep there"
     return [
         f"site {name} measured the bone {measured:g} mm deep; with the one straight bone that "
-        f"{', '.join(names)} "
-        f"share, {lies}"
+        f"{', '.join(names)} share, {lies}"
     ]
 
 

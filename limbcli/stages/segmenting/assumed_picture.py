@@ -6,31 +6,22 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from limbcli.drawing import save_picture
+from limbcli.drawing import put_title, save_picture
 from limbcli.meshing.sections import section
 from limbcli.stages.segmenting.assumed_geometry import AssumedLimb, ThicknessComparison
 
 _SKIN, _BONE, _BEAM, _FAT = "#b08000", "#c03028", "#0050d0", "#3a9a5b"
-_WRAP = 110  # characters per line of the title
 
 
 def draw_assumed(path: Path, limb: AssumedLimb, *, title: str) -> None:
     """Draw a section across the bone through every site's place, with the beam, and the layers if known."""
     names = list(limb.sites) or [""]
     figure = Figure(figsize=(5.2 * len(names) + 1.5, 6.0), layout="constrained")
-    FigureCanvasAgg(figure)
     for number, name in enumerate(names, 1):
         _draw_section(figure.add_subplot(1, len(names), number), limb, name, limb.sites.get(name))
-    words = title.split(" ")
-    lines = [""]
-    for word in words:
-        lines[-1:] = (
-            [f"{lines[-1]} {word}".strip()] if len(lines[-1]) < _WRAP * len(names) / 2 else [lines[-1], word]
-        )
-    figure.suptitle("\n".join(lines), fontsize=10)
+    put_title(figure, title, size=10.0)
     save_picture(figure, path, dpi=90)
 
 

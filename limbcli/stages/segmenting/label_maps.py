@@ -94,7 +94,8 @@ def _up_to_skin(
         around[:, :, k] = layer
     limb = np.isin(around, (SOFT_TISSUE, BONE, FAT))
     ours = labels.values > 0
-    astray = float((ours & ~_wider(limb)).sum() / max(ours.sum(), 1))
+    outside = ours & ~ndimage.binary_dilation(limb, iterations=2)
+    astray = float(outside.sum() / max(ours.sum(), 1))
     if astray > _ASTRAY:
         what = f"{astray:.0%} of what the label map names lies outside the limb in the image"
         fix = "export the label map again with this image as its reference; or set [subject] limb"
@@ -110,10 +111,6 @@ def _up_to_skin(
     line = f"{missing:.0%} of the limb is in no segment of the label map: taken from the image"
     values = np.where(ours, labels.values, rest).astype(np.uint8)
     return labels.with_values(values), [line], []
-
-
-def _wider(limb: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    return np.asarray(ndimage.binary_dilation(limb, iterations=2))
 
 
 def _sampled(source: Volume, grid: Volume) -> Iterator[NDArray]:

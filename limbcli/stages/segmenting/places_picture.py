@@ -28,14 +28,9 @@ _THIN, _THICK, _MARKER, _SITE = "#c25a00", "#1b3a1b", "#c000c0", "#0050d0"
 
 
 def draw_places(
-    path: Path,
-    limb: Limb,
-    grid: Sequence[GridPoint],
-    markers: Mapping[str, Array],
-    sites: Mapping[str, Array],
-    *,
-    title: str,
-) -> None:
+    path: Path, limb: Limb, grid: Sequence[GridPoint], markers: Mapping[str, Array],
+    sites: Mapping[str, Array], *, title: str,
+) -> None:  # fmt: skip
     """Draw the four views, with names at the grid points; the table has their coordinates."""
     low, high = limb.skin.points.min(axis=0) - _ROUND, limb.skin.points.max(axis=0) + _ROUND
     middle, sizes = 0.5 * (low + high), high - low
@@ -81,14 +76,9 @@ def _report_marks(
 
 
 def _draw_points(
-    axes: Axes,
-    grid: Sequence[GridPoint],
-    markers: Mapping[str, Array],
-    sites: Mapping[str, Array],
-    limb: Limb,
-    across: tuple[int, float],
-    towards: tuple[int, float],
-) -> None:
+    axes: Axes, grid: Sequence[GridPoint], markers: Mapping[str, Array], sites: Mapping[str, Array],
+    limb: Limb, across: tuple[int, float], towards: tuple[int, float],
+) -> None:  # fmt: skip
     """Draw the points that are visible from this side; points hidden by the limb are not drawn."""
     axis = proximal_direction(limb)
     along = limb.skin.points @ axis

@@ -21,10 +21,7 @@ PICTURE, TABLE = "site-grid.png", "site-grid.csv"
 
 
 def report_places(
-    case: Case,
-    surfaces: Mapping[str, Triangles],
-    markers: Sequence[Mapping[str, Any]],
-    writer: StageWriter,
+    case: Case, surfaces: Mapping[str, Triangles], markers: Sequence[Mapping[str, Any]], writer: StageWriter
 ) -> None:
     """Report markers and a figure with a grid; problems of the case's sites are stored in `site_problems`.
 

@@ -101,11 +101,7 @@ def _inside_skin(surfaces: Mapping[str, Triangles], writer: StageWriter, where: 
             f"{what}: {done} (--accept-bones), and the model is too soft where it is missing"
         )
     if len(kept) == 1:
-        raise CaseError(
-            "no bone lies inside the skin",
-            where=where,
-            fix=IN_ONE_FRAME,
-        )
+        raise CaseError("no bone lies inside the skin", where=where, fix=IN_ONE_FRAME)
     return kept
 
 
@@ -184,7 +180,7 @@ def without_fragments(
     """
     body, others = largest_and_fragments(skin)
     for each in others:
-        inside = [name for name, bone in bones.items() if lies_within(each, bone)]
+        inside = [name for name, bone in bones.items() if lies_within(bone, each)]
         if inside:
             raise CaseError(
                 f"{' and '.join(inside)} lies in {_piece(each)} of the skin's file, which is not its largest",

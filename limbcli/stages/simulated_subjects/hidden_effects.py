@@ -212,16 +212,11 @@ def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 def _rows(readings: Readings, keep: IntArray) -> Readings:
     """The readings with only the levels `keep`."""
     left = sorted(set(range(len(readings.force))) - set(keep.tolist()))
+    columns = ("force", "depth", "skin_bone", "travel", "layers", "travel_error")
+    read = {name: each for name in columns if (each := getattr(readings, name)) is not None}
+    maps = tuple(readings.maps[k] for k in keep)
     return replace(
-        readings,
-        left_out=tuple(left),
-        force=readings.force[keep],
-        depth=readings.depth[keep],
-        maps=tuple(readings.maps[k] for k in keep),
-        skin_bone=None if readings.skin_bone is None else readings.skin_bone[keep],
-        travel=None if readings.travel is None else readings.travel[keep],
-        layers=None if readings.layers is None else readings.layers[keep],
-        travel_error=None if readings.travel_error is None else readings.travel_error[keep],
+        readings, left_out=tuple(left), maps=maps, **{name: each[keep] for name, each in read.items()}
     )
 
 

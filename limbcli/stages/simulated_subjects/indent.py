@@ -51,20 +51,11 @@ class KnownTissue:
 
 
 def indent(
-    model: LimbModel,
-    tissue: KnownTissue,
-    *,
-    protocol: LoadingProtocol,
-    window: Window = Window(),
-    density_kg_per_m3: float = 1000.0,
-    spacing: float = 1.0,
-    tolerance: float = 1e-6,
-    progress: Progress = SILENT,
-    change: Change | None = None,
-    change_for_waves: Change | None = None,
-    borders: Array | None = None,
-    stretch: tuple[float, float] | None = None,
-) -> TrueLevels:
+    model: LimbModel, tissue: KnownTissue, *, protocol: LoadingProtocol, window: Window = Window(),
+    density_kg_per_m3: float = 1000.0, spacing: float = 1.0, tolerance: float = 1e-6,
+    progress: Progress = SILENT, change: Change | None = None, change_for_waves: Change | None = None,
+    borders: Array | None = None, stretch: tuple[float, float] | None = None,
+) -> TrueLevels:  # fmt: skip
     """The true values at every level of the protocol on a meshed site.
 
     spacing : mm between simulated depths; the force is interpolated by PCHIP
