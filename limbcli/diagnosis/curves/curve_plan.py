@@ -32,8 +32,8 @@ _LEAST_ALLOWED = 1500  # smallest budget of a candidate: some four seconds on a 
 # Work limit of a whole diagnosis, as a multiple of the mean work without effects; smallest mean work assumed.
 _TIMES_USUAL_IN_ALL, _LEAST_USUAL = 30.0, 500.0
 # Depths at which models with effects are solved, as fractions of the depth needed: what an effect changes is
-# smooth. Interpolated between them it missed the force by 0.0014 of the largest one (median of 100 simulations
-# of ten sites; 0.011 at most) and ln speed by 0.0025 (root mean square).
+# smooth. Interpolated between them, it missed the force by 0.0014 of the largest one (median of 100 solves of
+# ten sites; 0.011 at most) and ln speed by 0.0025 (root mean square).
 _SHARES = (1 / 6, 1 / 2, 5 / 6, 1.0)
 _FOR_MORE = 1.0  # budget of the levels beyond those needed, as a fraction of the work of the latter
 # Upper limits for large or difficult models, in work times cells, of a candidate and of the whole diagnosis;
