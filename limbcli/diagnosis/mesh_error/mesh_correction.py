@@ -83,8 +83,8 @@ def _beyond(at: float, end: float, inner: float) -> float:
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
-    """Curves for each of these m on the site's own mesh, at few of the depths; cached on disk like those of the
-    working mesh. Failures after the first m are left out.
+    """Curves for each of these m on the site's own mesh, at few of the depths; cached on disk like those of
+    the working mesh. Failures after the first m are left out.
 
     size_ratio : edge length of the own mesh over that of the working mesh. The effect of a penalty depends on
     the facet size, so that scaling the penalty by this ratio gives both meshes the same contact.
