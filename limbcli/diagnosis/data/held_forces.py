@@ -13,7 +13,6 @@ from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from limbcli.diagnosis.explanations import decisions
 from limbcli.effects.curves import Curves, force_at
@@ -92,6 +91,8 @@ def relaxing(elastic: Array, tau: float) -> Array:
     >>> np.round(relaxing(np.array([0.0, 1.0, 1.0]), 0.25), 4)
     array([0.    , 0.6321, 0.2325])
     """
+    from scipy.signal import lfilter  # takes half a second to import
+
     kept = float(np.exp(-STEP_S / tau))
     fresh = tau / STEP_S * (1.0 - kept)
     return np.asarray(lfilter([fresh], [1.0, -kept], np.diff(elastic, prepend=elastic[0])))
