@@ -175,7 +175,7 @@ def test_the_deepest_depths_of_the_own_mesh_are_attempted_but_not_required(tmp_p
     monkeypatch.setattr(ReferenceSession, "solve", noted)
     own_curves(block.block_model("tet4"), simulations, [5.0], size_ratio=2.0)
     simulations.close()
-    assert given == [(3, 4)]  # of 0.45, 1.8, 2.7, 3.6 mm: 0.6 of the depth, and all of it
+    assert given == [(3, 4)]  # of 0.9, 1.8, 2.7, 3.6 mm: 0.6 of the depth, and all of it
 
 
 def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge():

@@ -83,8 +83,8 @@ def _beyond(at: float, end: float, inner: float) -> float:
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
-    """Curves for each of these m on the site's own mesh, at few of the depths; cached on disk like those of
-    the working mesh. Failures after the first m are left out.
+    """Curves for each of these m on the site's own mesh, at the depths needed but the first; cached on disk
+    like those of the working mesh. Failures after the first m are left out.
 
     size_ratio : edge length of the own mesh over that of the working mesh. The effect of a penalty depends on
     the facet size, so that scaling the penalty by this ratio gives both meshes the same contact.
@@ -94,8 +94,10 @@ def own_curves(
     SolveError
         If the solver does not reach the required depth with the first m, or exceeds the work limit.
     """
+    # of half as many, the longer steps take as much work
+    depths = [depth for depth in simulations.depths[1:] if depth <= simulations.needed + 1e-9]
     penalty = size_ratio * simulations.model.contacts[0].penalty
-    own = simulations.on_mesh(meshed, simulations.few, enough=_ENOUGH, penalty=penalty)
+    own = simulations.on_mesh(meshed, depths, enough=_ENOUGH, penalty=penalty)
     own.work.at_most = _TIMES_USUAL * max(simulations.work.mean, _LEAST_WORK)
     try:
         return {several[0]: own.curves(several[0])} | where_solved(own.curves, several[1:])
