@@ -115,6 +115,30 @@ def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = 
     )
 
 
+def filled(curves: Curves, like: Curves, rows: Sequence[int]) -> Curves:
+    """The curves at all depths down to their last, of which they were solved at some.
+
+    The difference from other curves is interpolated; that of ln force is constant before the first depth.
+
+    rows : numbers, from 0 (depth 0) on, of the solved depths among those of `like`
+    """
+    n, solved = rows[-1] + 1, list(rows)
+    depth, base, known = like.depth[:n].copy(), _logs(like)[:n], _logs(curves)
+    depth[solved] = curves.depth
+    table = base + columns_through(curves.depth, known - base[solved], depth)
+    table[solved] = known
+    return replace(
+        curves, depth=depth, force=np.concatenate([curves.force[:1], np.exp(table[1:, 0])]),
+        **curves.with_columns(table[:, 1:]),  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def _logs(curves: Curves) -> Array:
+    """ln force (NaN at depth 0), ln speeds and ln lines (n, 1 + n_parts + n_lines)."""
+    log_force = np.log(np.maximum(curves.force[1:], 1e-9))
+    return np.column_stack([np.concatenate([[np.nan], log_force]), curves.columns])
+
+
 def _logs_at(curves: Curves, depth: Array) -> Array:
     """ln force, ln speeds and ln lines (n, 1 + n_parts + n_lines) at depths > 0."""
     speeds = [np.interp(depth, curves.depth, column) for column in curves.columns.T]

@@ -226,7 +226,8 @@ def strain_concentrations(
     inclusion (1957, Proc. R. Soc. A 241, 376-396).
 
     model : without the fields
-    without : deformations without the fields on the same cells, and the weight of each
+    without : deformations without the fields on the same cells, and the weight of each; the nearest
+        depth of each is compared
 
     Empty if none of these is on the same cells.
     """
@@ -246,7 +247,7 @@ def strain_concentrations(
 
         change = ln_speed(kinematics, k)
         for w, each in same:
-            change = change - w * ln_speed(each, min(k, len(each.gradient) - 1))
+            change = change - w * ln_speed(each, int(np.abs(each.depth - kinematics.depth[k]).argmin()))
         design = np.column_stack([np.ones(len(points)), rest[points][:, [0, 2]], factor[points] - 1.0])
         known = np.isfinite(change)
         root = np.sqrt(volume[points][known])[:, None]

@@ -16,7 +16,7 @@ from limbcli.diagnosis.mesh_error.numerical_checks import (
     NumericalChecks,
     large_uncertainty,
 )
-from limbcli.effects.curves import Curves, continued, log_force_at
+from limbcli.effects.curves import Curves, continued, filled, log_force_at
 from limbcli.measurement.indentation import Levels
 
 
@@ -88,6 +88,25 @@ def test_curves_go_on_beside_others_that_reach_further():
     found = continued(known, depth[4:], like=like)
     assert found.force == pytest.approx(2.0 * like.force * np.exp(0.03 * depth), rel=1e-9)
     assert found.log_speed == pytest.approx(speeds + 0.02 * depth[:, None])
+
+
+def test_curves_solved_at_some_depths_follow_others_between_them():
+    depth = np.array([0.0, 0.5, 1.0, 2.0, 4.0])
+    speeds = np.column_stack([0.1 * depth**2, 0.2 - 0.05 * depth])
+    like = Curves(depth, 0.7 * depth**1.4, speeds, np.zeros(2))
+    changed = replace(
+        like, force=2.0 * like.force * np.exp(0.03 * depth), log_speed=speeds + 0.02 * depth[:, None]
+    )
+    rows = [0, 2, 4]
+    gap = changed.log_speed[rows].copy()
+    gap[1, 1] = np.nan
+    known = replace(changed, depth=depth[rows], force=changed.force[rows], log_speed=gap)
+    found = filled(known, like, rows)
+    np.testing.assert_array_equal(found.depth, depth)
+    assert found.force[2:] == pytest.approx(changed.force[2:], rel=1e-9)
+    assert found.force[1] == pytest.approx(2.0 * like.force[1] * np.exp(0.03), rel=1e-9)  # as at the first
+    assert found.log_speed[:, 0] == pytest.approx(changed.log_speed[:, 0])
+    np.testing.assert_allclose(found.log_speed[:, 1], np.where(depth == 1.0, np.nan, changed.log_speed[:, 1]))
 
 
 def test_numerical_checks_are_made_at_the_m_that_the_measured_force_follows():

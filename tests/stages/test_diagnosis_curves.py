@@ -89,13 +89,36 @@ def test_curves_that_stop_short_go_on_beside_others(block, tmp_path, m, ingredie
     assert again.in_part == simulations.in_part
 
 
+def test_a_model_with_effects_is_solved_at_few_depths(block):
+    """What they change is smooth: the other depths follow, with less work."""
+    depths = [4.0 / 6 * each for each in (0.5, 1, 2, 3, 4, 5, 6)]
+    few, every = (SiteSimulations(block, depths, c=0.006, solving=ALONE) for _ in range(2))
+    every.few = every.depths
+    spent = {}
+    for each in (few, every):
+        each.curves(8.0)
+        before = each.work.total
+        each.curves(8.0, THICKER)
+        spent[each] = each.work.total - before
+        each.close()
+    found, expected = few.curves(8.0, THICKER), every.curves(8.0, THICKER)
+    np.testing.assert_allclose(few.few, [depths[k] for k in (1, 3, 5, 6)])
+    np.testing.assert_allclose(found.depth, expected.depth)
+    np.testing.assert_allclose(found.force, expected.force, rtol=0.003, atol=0.002 * expected.force[-1])
+    assert abs(found.force[-1] / few.curves(8.0).force[-1] - 1.0) > 0.02
+    shown = np.isfinite(found.log_speed) & np.isfinite(expected.log_speed)
+    assert shown.sum() > 0.9 * np.isfinite(expected.log_speed).sum()
+    assert np.std(found.log_speed[shown] - expected.log_speed[shown]) < 0.006  # single parts up to 0.04
+    assert spent[few] < 0.8 * spent[every]
+
+
 def test_what_curves_go_on_beside_is_no_work_of_theirs(block, tmp_path, monkeypatch):
     """Nor when it is taken up again, where they are kept and it is not asked for."""
     solve, stops = SiteSolver.solve, Stops(9)
 
-    def stopped(self, m, ingredients):
+    def stopped(self, m, ingredients, depths):
         stops.after = 3 if ingredients else 9
-        return solve(self, m, ingredients)
+        return solve(self, m, ingredients, depths)
 
     monkeypatch.setattr(SiteSolver, "solve", stopped)
     solving = Solving(tolerance=1e-6, threads=1)

@@ -31,6 +31,10 @@ _TIMES_USUAL, _TIMES_FITTED, _TIMES_WITH_FRICTION = 2.0, 3.0, 6.0
 _LEAST_ALLOWED = 1500  # smallest budget of a candidate: some four seconds on a working mesh
 # Work limit of a whole diagnosis, as a multiple of the mean work without effects; smallest mean work assumed.
 _TIMES_USUAL_IN_ALL, _LEAST_USUAL = 30.0, 500.0
+# Depths at which models with effects are solved, as fractions of the depth needed: what an effect changes is
+# smooth. Interpolated between them, it missed the force by 0.0014 of the largest one (median of 100 solves of
+# ten sites; 0.011 at most) and ln speed by 0.0025 (root mean square).
+_SHARES = (1 / 6, 1 / 2, 5 / 6, 1.0)
 _FOR_MORE = 1.0  # budget of the levels beyond those needed, as a fraction of the work of the latter
 # Upper limits for large or difficult models, in work times cells, of a candidate and of the whole diagnosis;
 # a million takes a second and a half.
@@ -79,8 +83,18 @@ class Reach:
 
     def down_to(self, depths: Sequence[float], *, share: float) -> int:
         """Number of depths (mm) down to this share of the depth needed."""
-        needed = depths[-1] if self.needed is None else self.needed
-        return min(int(np.searchsorted(depths, share * needed - 1e-9)) + 1, len(depths))
+        return min(int(np.searchsorted(depths, share * self._needed(depths) - 1e-9)) + 1, len(depths))
+
+    def few(self, depths: Sequence[float]) -> list[float]:
+        """Those of the depths (mm) at which a smooth difference from known curves is solved.
+
+        >>> Reach(needed=6.0).few([0.5, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0, 7.0])
+        [1.0, 3.0, 5.0, 6.0]
+        """
+        return sorted({min(depths, key=lambda d: abs(d - share * self._needed(depths))) for share in _SHARES})
+
+    def _needed(self, depths: Sequence[float]) -> float:
+        return depths[-1] if self.needed is None else self.needed
 
 
 @dataclass(frozen=True, kw_only=True)

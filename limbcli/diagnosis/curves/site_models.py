@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -19,7 +19,6 @@ from limbcli.site_model.indentation_model import with_tissue
 from limbcli.site_model.model_simplification import fewer_steps, softer_jumps
 from limbcli.version import __version__
 
-_PATH_STEPS = 2  # load steps per depth in models with friction
 _READING = 3  # version of the evaluation of speeds; increment on changes, as cached curves contain speeds
 _READING_OF_FIELDS = 2  # the same for curves with an effect that is a factor on stiffnesses
 
@@ -43,10 +42,14 @@ class SiteModels:
         tissue = with_tissue(self.usual, c=self.c, f_kappa=self.f_kappa, m=m)
         return applied(tissue, ingredients, waves=waves)
 
-    def to_solve(self, m: float, ingredients: Ingredients, *, n_depths: int) -> LimbModel:
-        """The model made easier to solve, for curves down to `n_depths` depths."""
+    def to_solve(self, m: float, ingredients: Ingredients, times: Sequence[float]) -> LimbModel:
+        """The model made easier to solve, for curves at these times (s).
+
+        With friction, a load step for each time: two change what friction does by 2 % of it.
+        """
         model = softer_jumps(self.of(m, ingredients))
-        return fewer_steps(model, _PATH_STEPS * n_depths) if model.has_friction else model
+        model = replace(model, steps=tuple(replace(each, must_points=tuple(times)) for each in model.steps))
+        return fewer_steps(model, len(times)) if model.has_friction else model
 
     def key(self, m: float, ingredients: Ingredients) -> str:
         """Hash of the exponent and of what the effects make of the model, so that a modified implementation

@@ -14,13 +14,13 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, where_solved
+from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, nearest_m, where_solved
 from limbcli.diagnosis.curves.node_table import NodeTable
 from limbcli.diagnosis.curves.site_models import SiteModels, fingerprint
 from limbcli.diagnosis.curves.site_solver import SiteSolver, SolvedCurves
 from limbcli.diagnosis.data.layer_rows import BorderLines
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.effects.curves import Curves, continued
+from limbcli.effects.curves import Curves, continued, filled
 from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
 from limbcli.effects.ingredients import Ingredients, is_numerical, laws, names_of, stiffness_fields
 from limbcli.errors import SolveError
@@ -49,7 +49,8 @@ class SiteSimulations:
 
     Attributes
     ----------
-    model : without effects; depths, needed : mm, of the levels, and to be reached; work : of the solves
+    model : without effects; depths, needed : mm, of the levels, and to be reached; few : of the depths, those
+        at which models with effects are solved; work : of the solves
     n_solves : of this run, including failed ones
     in_part : label of a model -> mm reached by the solver, where less than needed
     """
@@ -77,6 +78,7 @@ class SiteSimulations:
             self.models, times, reach=reach, solving=solving, keep=keep, progress=progress
         )
         self.work, self.n_solves = self.solver.work, 0
+        self.few, self._n_full = reach.few(self.depths), reach.down_to(self.depths, share=1.0)
         self.in_part: dict[str, float] = {}
         # by m: the model without effects, its force (n,) and ln speed (n, n_parts) at its own deformation
         self._unchanged: dict[float, tuple[LimbModel, Array, Array]] = {}
@@ -189,17 +191,23 @@ class SiteSimulations:
 
     def _solved(self, key: str, m: float, ingredients: Ingredients) -> Curves:
         self.n_solves += 1
-        solve = self.solver.solve(m, ingredients)
+        like = self._without(m) if ingredients else None
+        depths = self.depths if like is None else self.few
+        solve = self.solver.solve(m, ingredients, depths)
         values, seen = self.table.values(solve), stiffness_fields(ingredients, waves=True)
         kinematics = self.table.kinematics(solve.model, solve.depth, values)
         curves = self.table.curves(
             solve, kinematics, in_window=self.models.of(m, laws(ingredients), waves=True), stiffness=seen,
             without=self._plain_deformations(m) if seen else (),
         )  # fmt: skip
-        n_reached, enough_force = len(values), self.solver.reach.enough_force
+        rows = [self.depths.index(depth) + 1 for depth in depths[: len(values)]]
+        n_reached, enough_force = rows[-1], self.solver.reach.enough_force
         is_enough = enough_force is not None and curves.force[-1] >= enough_force
+        if like is not None:
+            curves = filled(curves, like, [0, *rows])
         if further := self.depths[n_reached:]:
-            like = None if is_enough and not ingredients else self._beside(m, ingredients)
+            if not ingredients and not is_enough:
+                like = self._beside(m)
             curves = continued(curves, further, like=like)
         if not ingredients:
             if further:
@@ -218,11 +226,11 @@ class SiteSimulations:
         reported (except with numerical effects)."""
         if not ingredients:
             self.work.usual.append(found.work)
-        if found.n_reached < self.solver.n_full and not is_numerical(ingredients):
+        if found.n_reached < self._n_full and not is_numerical(ingredients):
             words = " and ".join(names_of(ingredients)) or "no effect"
             label, reached = f"{words}, m {m:g}", self.depths[found.n_reached - 1]
             self.in_part[label] = reached
-            text = f"{label}: solved to {reached:.1f} of {self.depths[self.solver.n_full - 1]:.1f} mm"
+            text = f"{label}: solved to {reached:.1f} of {self.depths[self._n_full - 1]:.1f} mm"
             self.solver.progress.event("note", text=text)
         return found.curves
 
@@ -236,16 +244,18 @@ class SiteSimulations:
         share = float(np.clip((bend(m) - bend(low)) / (bend(high) - bend(low)), 0.0, 1.0))
         return [(1.0 - share, softer), (share, stiffer)]
 
-    def _beside(self, m: float, ingredients: Ingredients) -> Curves | None:
-        """Curves along which incomplete ones are extrapolated; None if there are none.
+    def _without(self, m: float) -> Curves | None:
+        """Curves without effects, at the nearest of `FIRST_M`; None if they cannot be solved."""
+        with self.work.aside(), contextlib.suppress(SolveError):
+            return self.curves(nearest_m(FIRST_M, m))
+        return None
 
-        Those without effects, of another mesh, or of a stiffer law, which stays stable to larger depths.
+    def _beside(self, m: float) -> Curves | None:
+        """Curves along which incomplete ones without effects are extrapolated; None if there are none.
+
+        Those of another mesh, or of a stiffer law, which stays stable to larger depths.
         """
-        if self.solver.solving.beside is not None and not ingredients:
+        if self.solver.solving.beside is not None:
             return self.solver.solving.beside.curves(m)
         stiffer = min((each for each in FIRST_M if each > m), default=m)
-        if not ingredients and stiffer == m:
-            return None
-        with self.work.aside(), contextlib.suppress(SolveError):
-            return self.curves(m if ingredients else stiffer)
-        return None
+        return None if stiffer == m else self._without(stiffer)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -88,7 +88,6 @@ class SiteSolver:
     solves.
 
     times : s, of the load steps, by depth in mm
-    n_full, n_required : number of depths solved with full effort, and that must be reached
     """
 
     def __init__(
@@ -96,32 +95,31 @@ class SiteSolver:
         keep: Path | None, progress: Progress,
     ):  # fmt: skip
         self.models, self.times, self.reach, self.solving = models, times, reach, solving
-        self.n_full, self.n_required = (
-            reach.down_to(list(times), share=each) for each in (1.0, reach.enough)
-        )
         self.memo, self.progress = SolveMemo(keep), progress
         self.work = SiteWork(n_cells=len(models.usual.mesh.solid_blocks[0].cells))
         self._session: ReferenceSession | None = None
         self._leads: list[Solved] = []  # initial guesses from an earlier run
         self._last_with: dict[tuple[str, ...], str] = {}  # names of effects -> key of the last solve
 
-    def solve(self, m: float, ingredients: Ingredients) -> Solve:
-        """Solve one model.
+    def solve(self, m: float, ingredients: Ingredients, depths: Sequence[float]) -> Solve:
+        """Solve one model at some of the depths (mm).
 
         Raises
         ------
         SolveError
             If not enough depths are reached; `BudgetSpent` if that is because of the work.
         """
-        model = self.models.to_solve(m, ingredients, n_depths=len(self.times))
+        model = self.models.to_solve(m, ingredients, [self.times[depth] for depth in depths])
+        n_full, n_required = (self.reach.down_to(depths, share=each) for each in (1.0, self.reach.enough))
         # numerical effects (mesh, cut, contact) enter every verdict; only the work of candidates is limited
         numerical = is_numerical(ingredients)
         candidate = bool(ingredients) and not numerical
-        n_full, budget, start = self.n_full, Budget(allowed=self.work.at_most), None
+        budget, start = Budget(allowed=self.work.at_most), None
         if numerical:
-            n_full = self.n_required
+            n_full = n_required
         elif candidate:
-            fitted, needed = has_fitted_size(ingredients), self.n_required / len(self.times)
+            n_steps = len({*depths, *list(self.times)[-1:]})  # the last depth ends the load
+            fitted, needed = has_fitted_size(ingredients), n_required / n_steps
             budget = self.work.of_candidate(has_friction=model.has_friction, fitted=fitted, needed=needed)
             # at sizes of the first-order estimate, then of earlier fits: a repeated fit is close to them
             key = self._last_with.get(names_of(ingredients)) if fitted and not model.has_friction else None
@@ -129,7 +127,7 @@ class SiteSolver:
         try:
             with self._session_for(model, m, ingredients) as session:
                 stop = StopWhen(
-                    required=self.n_required, full_effort=n_full, patient=not candidate, budget=budget,
+                    required=n_required, full_effort=n_full, patient=not candidate, budget=budget,
                     last=None if m == USUAL_M and not ingredients else n_full,
                     enough_force=self.reach.enough_force,
                 )  # fmt: skip

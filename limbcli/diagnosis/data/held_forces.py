@@ -91,7 +91,7 @@ def relaxing(elastic: Array, tau: float) -> Array:
     >>> np.round(relaxing(np.array([0.0, 1.0, 1.0]), 0.25), 4)
     array([0.    , 0.6321, 0.2325])
     """
-    from scipy.signal import lfilter  # slow to import
+    from scipy.signal import lfilter  # takes half a second to import
 
     kept = float(np.exp(-STEP_S / tau))
     fresh = tau / STEP_S * (1.0 - kept)

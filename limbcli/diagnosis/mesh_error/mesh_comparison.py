@@ -13,7 +13,7 @@ from limbcli.diagnosis.curves.curve_plan import FIRST_M, bend, where_solved
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_layers
 from limbcli.diagnosis.mesh_error.numerical_checks import NumericalChecks, change_of
 from limbcli.effects.crop import LIMB_POSITION
-from limbcli.effects.curves import Curves, gaps_filled
+from limbcli.effects.curves import Curves, continued, filled
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.errors import LimbError
 from limbcli.model import Array
@@ -108,10 +108,10 @@ def _by_own_mesh(checks: NumericalChecks, several: Sequence[float]) -> MeshCorre
         checks.notes.warnings.append(f"the working mesh is not corrected to the site's own{why}")
         return None
     own, working = found[several[0]], simulations.curves(several[0])
-    tables = {m: _apart(simulations.curves(m), found[m], working.depth) for m in sorted(found)}
+    rows = np.searchsorted(working.depth, own.depth - 1e-6)
+    tables = {m: _difference(simulations.curves(m), found[m], rows.tolist()) for m in sorted(found)}
     log_force, log_speed = (np.array(each) for each in zip(*tables.values(), strict=True))
-    at = np.searchsorted(working.depth, own.depth - 1e-6)
-    checks.notes.data["working_mesh_force_ratio"] = own.force[1:] / working.force[at[1:]]
+    checks.notes.data["working_mesh_force_ratio"] = own.force[1:] / working.force[rows[1:]]
     force, speed = tables[several[0]]
     off, in_mean = (
         left_error(h, checks.size) * np.abs(np.interp(checks.depth, working.depth, each))
@@ -124,27 +124,16 @@ def _by_own_mesh(checks: NumericalChecks, several: Sequence[float]) -> MeshCorre
     )  # fmt: skip
 
 
-def _apart(working: Curves, own: Curves, depth: Array) -> tuple[Array, Array]:
-    """Difference, own minus working mesh, of ln force (n,) and ln speeds (n, n_parts) at depths (n,) mm."""
-    at = np.searchsorted(working.depth, own.depth - 1e-6)
-    log_force = _onward(own.depth[1:], np.log(own.force[1:] / working.force[at[1:]]), depth)
-    log_force[0] = 0.0
-    speeds = gaps_filled(own.log_speed - working.log_speed[at])
-    return log_force, np.array([_onward(own.depth, column, depth) for column in speeds.T]).T
+def _difference(working: Curves, own: Curves, rows: Sequence[int]) -> tuple[Array, Array]:
+    """Own minus working mesh: ln force (n,) and ln speeds (n, n_parts) at the working mesh's depths, of which
+    `rows` are those of the own mesh."""
+    whole = continued(filled(own, working, rows), working.depth[rows[-1] + 1 :].tolist(), like=working)
+    return change_of(working, whole)
 
 
 def left_error(h: float, size: float) -> float:
     """Remaining error of a mesh with edges of h mm, as a fraction of its difference from one with `size`."""
     return _SAFETY * h**2 / max(size**2 - h**2, h**2)
-
-
-def _onward(depth: Array, values: Array, at: Array) -> Array:
-    """Linear interpolation; constant before the first value, extrapolated linearly beyond the last."""
-    found = np.interp(at, depth, values)
-    if len(depth) > 1:
-        rise = (values[-1] - values[-2]) / (depth[-1] - depth[-2])
-        found = found + rise * np.maximum(at - depth[-1], 0.0)
-    return np.asarray(found)
 
 
 def _ratio(theirs: float, ours: float) -> float:

@@ -31,9 +31,7 @@ F_KAPPA, START_M = 100.0, 2.0  # ratio of bulk modulus to c; exponent m of the s
 # smallest mean work assumed.
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
 _FOLLOWED = 0.2  # range of extrapolation beyond the last m, as a fraction of the distance to the next m
-# Depths at which the own mesh is simulated, as fractions of the depth needed; those beyond _ENOUGH where the
-# solver gets there.
-_SHARES, _ENOUGH = tuple(k / 6 for k in range(1, 7)), 0.6
+_ENOUGH = 0.6  # fraction of the depth needed that the own mesh must reach
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -85,8 +83,8 @@ def _beyond(at: float, end: float, inner: float) -> float:
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
-    """Curves for each of these m on the site's own mesh, at the simulated depths; cached on disk like those
-    of the working mesh. Failures after the first m are left out.
+    """Curves for each of these m on the site's own mesh, at the depths needed but the first; cached on disk
+    like those of the working mesh. Failures after the first m are left out.
 
     size_ratio : edge length of the own mesh over that of the working mesh. The effect of a penalty depends on
     the facet size, so that scaling the penalty by this ratio gives both meshes the same contact.
@@ -96,10 +94,8 @@ def own_curves(
     SolveError
         If the solver does not reach the required depth with the first m, or exceeds the work limit.
     """
-    deep = np.array(simulations.depths)
-    depths = sorted(
-        {simulations.depths[int(np.abs(deep - share * simulations.needed).argmin())] for share in _SHARES}
-    )
+    # of half as many, the longer steps take as much work
+    depths = [depth for depth in simulations.depths[1:] if depth <= simulations.needed + 1e-9]
     penalty = size_ratio * simulations.model.contacts[0].penalty
     own = simulations.on_mesh(meshed, depths, enough=_ENOUGH, penalty=penalty)
     own.work.at_most = _TIMES_USUAL * max(simulations.work.mean, _LEAST_WORK)

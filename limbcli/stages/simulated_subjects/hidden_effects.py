@@ -260,7 +260,7 @@ def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
 
 def _relaxing_trace(trace: Array, share: float) -> Array:
     """The load cell's record with the same relaxation terms, sample by sample."""
-    from scipy.signal import lfilter  # slow to import
+    from scipy.signal import lfilter  # takes half a second to import
 
     step = float(np.median(np.diff(trace[:, 0])))
     elastic, added = trace[:, 1], np.zeros(len(trace))
