@@ -112,6 +112,16 @@ def limb(
             python="Numbers (0 to 49) of draws of the stiffness field whose models are written too.",
         ),
     ] = (),
+    cohort: Annotated[
+        PathLike | None,
+        Option(
+            "Folder that `cohort` wrote: its population is the prior of the stiffness far from all sites.",
+            metavar="FOLDER",
+        ),
+    ] = None,
+    cohort_location: Annotated[
+        str | None, Option("Location of the cohort; default: the only one.", metavar="NAME")
+    ] = None,
     templates: Annotated[PathLike | None, TEMPLATES] = None,
     wait: Annotated[bool, WAIT] = True,
     progress: Annotated[Heard, PROGRESS] = None,
@@ -133,6 +143,7 @@ def limb(
     options = stage.LimbOptions(
         element=element, nodes=nodes, cut=cut_mm, distal_cut=distal_cut, c_kpa=c_kpa, site_size=site_size_mm,
         skin_layer=thickness(skin_mm, "skin_mm"), fat_layer=thickness(fat_mm, "fat_mm"), draws=tuple(draws),
+        cohort=maybe_path(cohort, "cohort"), cohort_location=cohort_location,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
         return stage.limb(

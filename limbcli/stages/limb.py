@@ -84,6 +84,7 @@ class LimbOptions:
 
     site_size : edge length (mm) under a probe at the sites, as in their models; None: as elsewhere
     draws : numbers of the draws of the stiffness field whose models are written, too
+    cohort, cohort_location : folder of a cohort's result; its location whose population is the field's prior
     """
 
     element: str | None = None
@@ -95,6 +96,8 @@ class LimbOptions:
     c_kpa: float | None = None
     site_size: float | None = None
     draws: tuple[int, ...] = ()
+    cohort: Path | None = None
+    cohort_location: str | None = None
 
 
 def limb(
@@ -188,8 +191,17 @@ def _field(
     """The stiffness field through the case's sites; None if c is given by hand or no site says anything."""
     field = None
     if options.c_kpa is None:
-        found = case_field(case, chain, skin, list(bones.values()), frame.axis, writer)
+        found = case_field(
+            case, chain, skin, list(bones.values()), frame.axis, writer,
+            cohort=options.cohort, location=options.cohort_location,
+        )  # fmt: skip
         field = found if found.results.sites or found.results.maps else None
+    if options.cohort is not None and field is None:
+        raise CaseError(
+            "a cohort's population is the prior of a stiffness field, and there is none: "
+            + ("no site is fitted or has a map at rest" if options.c_kpa is None else "c is given by hand"),
+            where="--cohort", fix="fit a site" if options.c_kpa is None else "leave out --c-kpa or --cohort",
+        )  # fmt: skip
     wrong = [k for k in options.draws if field is None or not 0 <= k < N_DRAWS]
     if wrong:
         why = f"there are draws 0 to {N_DRAWS - 1}" if field else "one stiffness for all has no draws"

@@ -11,10 +11,11 @@ import numpy as np
 import pytest
 
 from limbcli.case.parts import StatedNoise
-from limbcli.errors import FitError
+from limbcli.errors import CaseError, FitError
+from limbcli.files.atomic import sha256
 from limbcli.measurement.elastography import SweMap, write_map
-from limbcli.results import StageResult, StageWriter, open_stage, plain
-from limbcli.stages.limb_field.case_field import case_field
+from limbcli.results import StageResult, StageWriter, open_stage, plain, write_sealed
+from limbcli.stages.limb_field.case_field import case_field, cohort_priors
 from limbcli.stages.limb_field.site_results import of_diagnosis, of_fit, site_results
 from limbcli.stiffness_field import LABELS
 from tests.stiffness_field import synthetic as limb
@@ -175,3 +176,63 @@ def test_the_field_of_a_case_in_one_call(measured):
         own = [each["probability"] for each in words["hypotheses"] if each["parameter"] == name]
         assert sum(own) == pytest.approx(1.0)
     assert words["held_out"]["n"] == 0
+
+
+def population(geometric_mean, low, high, spread, beyond=None):
+    return {
+        "geometric_mean": geometric_mean, "low": low, "high": high, "spread_of_ln": spread,
+        "spread_factor": np.exp(spread), "beyond_family": beyond,
+    }  # fmt: skip
+
+
+def write_cohort(folder: Path, sites: dict) -> Path:
+    """A cohort's result as the command leaves it, with these locations."""
+    folder.mkdir()
+    hashes = {}
+    for name in ("rows.csv", "cohort.html"):
+        (folder / name).write_text(name, encoding="utf-8")
+        hashes[name] = sha256(folder / name)
+    content = {
+        "table": "people.csv", "sites": sites, "warnings": [], "provenance": {"files_sha256": hashes},
+        "fat_stiffness": {"words": "not identifiable"}, "n_rows": 12, "n_people": 12,
+        "compliance_left_out": {"mean_absolute_difference_percent": None}, "stands_out": {"rows": [], "people": []},
+    }  # fmt: skip
+    write_sealed(folder / "cohort.json", content)
+    return folder
+
+
+@pytest.fixture
+def cohort(tmp_path):
+    one = {
+        "n_rows": 12, "n_people": 12,
+        "population": {
+            "c_muscle_kpa": population(5.0, 4.0, 6.25, 0.3), "c_fat_kpa": population(9.0, 6.0, 13.5, 0.3),
+            "m": population(1.2, 1, 2, 0.3, "below 1.5"),
+        },
+    }  # fmt: skip
+    return write_cohort(tmp_path / "people", {"LL_P": one, "LL_A": one})
+
+
+def test_the_population_of_a_cohort_is_the_prior(cohort):
+    found = cohort_priors(cohort, "LL_P")
+    assert set(found) == {"c"}  # m lies beyond the family
+    assert np.exp(found["c"].mean) == pytest.approx(0.005)
+    assert found["c"].deviation == pytest.approx(np.hypot(0.3, np.log(6.25 / 4) / 3.92), rel=1e-3)
+    with pytest.raises(CaseError, match="no location 'X'"):
+        cohort_priors(cohort, "X")
+    with pytest.raises(CaseError, match="several locations"):
+        cohort_priors(cohort, None)
+    with pytest.raises(CaseError, match="there is no result of `cohort`"):
+        cohort_priors(cohort / "none", "LL_P")
+
+
+def test_far_from_the_only_site_the_field_is_drawn_to_the_population(measured, cohort):
+    """Of people with 5 kPa, at a limb whose site says 8 kPa: less than with the usual prior of 8 kPa."""
+    there = Results(mesh=mesh(), fit=result("fit", FIT))
+    given = (measured, there, limb.SKIN, limb.BONES, limb.AXIS, NOT_KEPT)
+    usual, known = case_field(*given), case_field(*given, cohort=cohort, location="LL_P")
+    far = limb.region(HEIGHT - 60.0, ANGLE + np.pi)
+    drop = np.log(known.element_columns(far)[0] / usual.element_columns(far)[0])
+    assert (drop < -0.01).all()
+    assert known.to_json()["priors"]["c"]["source"] == "cohort, location LL_P, 12 people"
+    assert known.to_json()["priors"]["m"]["source"] == usual.to_json()["priors"]["m"]["source"]

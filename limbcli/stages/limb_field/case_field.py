@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from limbcli.case import Case
+from limbcli.errors import CaseError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.numbers.units import kpa_from_mpa
+from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageWriter
+from limbcli.stages.cohort import RESULT, read_cohort
 from limbcli.stages.limb_field.site_results import LimbReadings, site_results
 from limbcli.stiffness_field import (
     LABELS,
+    PRIORS,
+    FieldPrior,
     StiffnessField,
     contradictions,
     held_out,
     limb_coordinates,
     stiffness_field,
 )
+
+_WIDTH = 2 * 1.959964  # of a 95 % interval, in standard deviations
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,22 +102,59 @@ class CaseField:
 
 
 def case_field(
-    case: Case, chain: Chain, skin: Triangles, bones: Sequence[Triangles], axis: Array, writer: StageWriter
-) -> CaseField:
+    case: Case, chain: Chain, skin: Triangles, bones: Sequence[Triangles], axis: Array, writer: StageWriter,
+    *, cohort: Path | None = None, location: str | None = None,
+) -> CaseField:  # fmt: skip
     """The field of a case from the results in its output folder.
 
     skin, bones, axis : mm, patient LPS; the axis towards proximal
+    cohort, location : folder of a cohort's result, and its location whose population is the prior
 
     Raises
     ------
     CaseError
-        If a result is out of date.
+        If a result is out of date, or the cohort has no such location.
     MeasurementError, FitError, MeshError
         If a map, a reading or the surfaces cannot be used.
     """
-    results = site_results(case, chain, writer)
+    results, priors = site_results(case, chain, writer), PRIORS
+    if cohort is not None:
+        priors = {**PRIORS, **cohort_priors(cohort, location)}
+        writer.used("cohort", cohort / RESULT)
     limb = limb_coordinates(skin, bones, axis, where=case.subject)
-    return CaseField(stiffness_field(limb, results.sites, results.maps), results)
+    return CaseField(stiffness_field(limb, results.sites, results.maps, priors=priors), results)
+
+
+def cohort_priors(folder: Path, location: str | None) -> dict[str, FieldPrior]:
+    """Priors of c and m from the population of a cohort's location.
+
+    The population's spread between people and the uncertainty of its mean are added. m is left out where it
+    lies beyond the range of the cohort's models.
+
+    location : None: the only one there is
+
+    Raises
+    ------
+    CaseError
+        If the folder holds no result of `cohort`, or that has no such location.
+    """
+    sites: Mapping[str, Any] = read_cohort(folder).data["sites"]
+    name = location or (next(iter(sites)) if len(sites) == 1 else "")
+    if name not in sites:
+        what = f"the cohort has no location {name!r}" if name else "the cohort has several locations"
+        fix = f"give --cohort-location {' or '.join(sites)}"
+        raise CaseError(what, where=str(folder / RESULT), fix=fix)
+    found = {}
+    for key, parameter, scale in (("c_muscle_kpa", "c", mpa_from_kpa(1.0)), ("m", "m", 1.0)):
+        own = sites[name]["population"][key]
+        if own["beyond_family"]:
+            continue
+        found[parameter] = replace(
+            PRIORS[parameter], mean=float(np.log(own["geometric_mean"] * scale)),
+            deviation=float(np.hypot(own["spread_of_ln"], np.log(own["high"] / own["low"]) / _WIDTH)),
+            source=f"cohort, location {name}, {sites[name]['n_people']} people",
+        )  # fmt: skip
+    return found
 
 
 def _in_kpa(name: str, values: Sequence[float | None]) -> list[float | None]:
