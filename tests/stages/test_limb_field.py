@@ -195,7 +195,8 @@ def write_cohort(folder: Path, sites: dict) -> Path:
     content = {
         "table": "people.csv", "sites": sites, "warnings": [], "provenance": {"files_sha256": hashes},
         "fat_stiffness": {"words": "not identifiable"}, "n_rows": 12, "n_people": 12,
-        "compliance_left_out": {"mean_absolute_difference_percent": None}, "stands_out": {"rows": [], "people": []},
+        "compliance_left_out": {"mean_absolute_difference_percent": None},
+        "stands_out": {"rows": [], "people": []},
     }  # fmt: skip
     write_sealed(folder / "cohort.json", content)
     return folder
