@@ -8,6 +8,7 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.progress import SILENT
 from limbcli.results import open_stage
 from limbcli.stages.batch_cases import expectations
 from limbcli.stages.expect import compare
@@ -79,7 +80,7 @@ def test_what_could_not_fail_or_is_no_rule_is_refused_and_stops_no_batch(
     tmp_path: Path, out: Path, text: str, given: str
 ):
     (tmp_path / "expected.toml").write_text(text)
-    found, unlike = expectations(tmp_path, out)
+    found, unlike = expectations(tmp_path, out, progress=SILENT)
     assert not found
     assert given in unlike[0].error.what
     assert unlike[0].error.fix
@@ -112,11 +113,11 @@ def test_a_result_counts_only_for_the_case_that_it_was_made_of(tmp_path: Path):
     (case / "expected.toml").write_text(
         "".join(f"[site.{site}]\nm = {{ min = 2.0 }}\n" for site in ("p1", "p2", "p9"))
     )
-    found, unlike = expectations(case, out)
+    found, unlike = expectations(case, out, progress=SILENT)
     assert [each.holds for each in found] == [True, True, False]
     assert "the case has no site p9" in unlike[0].error.what
     levels.write_text(levels.read_text() + "\n")
-    found, _ = expectations(case, out)
+    found, _ = expectations(case, out, progress=SILENT)
     assert [each.holds for each in found] == [False, False, False]
     assert "levels of site p1 changed" in str(found[0].found)
 
