@@ -159,7 +159,7 @@ def test_files_for_others(made):
 def with_field(monkeypatch, c_of: dict[str, float]) -> None:
     """Let sites of these c (MPa), one at the front and one at the back, tell the stiffness."""
 
-    def field_of(case, chain, skin, bones, axis, writer):
+    def field_of(case, chain, skin, bones, axis, writer, **_):
         places = {"p1": [0.0, -35.0, 60.0], "p2": [0.0, 35.0, 60.0]}
         sites = [
             SiteReading(name, np.array([places[name]]), {"c": Interval(c, 0.9 * c, 1.1 * c)}, source="fit")
