@@ -11,9 +11,11 @@ settles in the socket as far as friction lets it.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import starmap
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -22,10 +24,12 @@ from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, Block, Curve, IntArray, LimbModel, LogRecord, Mesh, Step, Surface
 from limbcli.model.bodies import Contact, Drive, RigidBody
+from limbcli.model.npz_file import model_hash
 from limbcli.progress import SILENT, Progress
 from limbcli.sockets.knee import KneeLoad
 from limbcli.sockets.liner import LINER_INSIDE
 from limbcli.solvers.reference import prepare
+from limbcli.solvers.restart import Restart
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
@@ -233,6 +237,7 @@ def don_and_load(
     options: DonningOptions | None = None,
     *,
     threads: int = 2,
+    keep: Path | None = None,
     progress: Progress = SILENT,
 ) -> DonningResult:
     """Put a limb into its socket and load it, with the reference solver. Progress says what each step leads
@@ -241,6 +246,8 @@ def don_and_load(
     Parameters
     ----------
     limb, face, options : as for `socket_model`
+    keep : folder in which an unfinished run leaves its converged load steps, from which the next run of the
+        same model goes on; None: nothing is kept
 
     Raises
     ------
@@ -254,6 +261,9 @@ def don_and_load(
     options = options or DonningOptions()
     model = socket_model(limb, face, options)
     analysis = prepare(model, _told(progress, options), threads=threads, slip_as_febio=options.slip_as_febio)
+    restart = None if keep is None else Restart(keep, model_hash(model).encode(), f"{options.slip_as_febio}")
+    if restart is not None and restart.n_stored:
+        progress.event("note", text=f"starting from {restart.n_stored} load steps that are already solved")
     states: list[SocketState] = []
     balance: list[StepBalance] = []
     arm = 0.5 * float(np.linalg.norm(np.ptp(face.points, axis=0)))
@@ -261,6 +271,8 @@ def don_and_load(
 
     def visit(running: Analysis, snapshot: Snapshot) -> None:
         balance.append(_balance(running, snapshot, aim_of(snapshot.state.time, options), arm))
+        if restart is not None:
+            restart.keep(snapshot.state)
         if not snapshot.must:
             return
         states.append(_state(running, snapshot, next(loads)))
@@ -275,11 +287,15 @@ def don_and_load(
             running.model = with_gradual_release(running.model, states[0])
 
     try:
-        analysis.run(visit)
+        analysis.run(visit, guesses=restart.guess if restart is not None else None)
     except SolveError as error:
         raise _explained(error, len(states), options) from error
     finally:
         analysis.close()
+    if restart is not None and keep is not None:
+        restart.finished()
+        with contextlib.suppress(OSError):  # other files lie there
+            keep.rmdir()
     return DonningResult(analysis.model, _skin_nodes(model), tuple(states), tuple(balance))
 
 

@@ -87,18 +87,17 @@ class ReferenceSolver:
             files.note(f"left out: {left_out}" if left_out else "")
             if fewer := _only_must_points(model):
                 files.note(fewer) if outline.has_touch_frame else files.warning(fewer)
-            self._compute(model, files, Restart(feb, self._settings), progress, time_limit_s)
+            self._compute(model, files, self._restart(feb), progress, time_limit_s)
 
     def begin_with(self, feb: Path, levels: Solved) -> None:
         """Let the next run of a model file start from these levels, solved in memory, instead of from rest.
 
         A level that is in equilibrium takes one evaluation of the forces; another one is solved from there.
         """
-        Restart(feb, self._settings).begin_with(levels.states)
+        self._restart(feb).begin_with(levels.states)
 
-    @property
-    def _settings(self) -> str:
-        return f"tolerance {self.tolerance:g}"
+    def _restart(self, feb: Path) -> Restart:
+        return Restart(feb.parent, feb.read_bytes(), f"tolerance {self.tolerance:g}")
 
     def _compute(
         self,

@@ -1,4 +1,4 @@
-"""Restart file: the converged levels of an unfinished run, stored next to its records.
+"""Restart file: the converged levels of an unfinished run.
 
 A later run of the same model with the same solver resumes from them: each level is already in equilibrium,
 which takes one force evaluation to confirm, and its records are written again.
@@ -29,15 +29,16 @@ RESTART_FILE = "restart.npz"
 class Restart:
     """Converged levels of a run, by time.
 
-    feb : the model file
+    folder : of the file
+    model : the model's content, or a hash of it
     settings : the solver's settings as text. Levels of another model, other settings or another solver
         version are ignored.
     """
 
-    def __init__(self, feb: Path, settings: str):
-        self.path = feb.parent / RESTART_FILE
+    def __init__(self, folder: Path, model: bytes, settings: str):
+        self.path = folder / RESTART_FILE
         words = f"{__version__} {settings} ".encode()
-        self.key = hashlib.sha256(words + feb.read_bytes()).hexdigest()
+        self.key = hashlib.sha256(words + model).hexdigest()
         self._states: dict[float, State] = {}
         self._stored = self._read()
         self.n_stored = len(self._stored)
@@ -61,6 +62,7 @@ class Restart:
 
     def _write(self) -> None:
         arrays = {"key": np.array(self.key), **level_arrays(self._states)}
+        self.path.parent.mkdir(parents=True, exist_ok=True)
         with atomic_file(self.path) as path, path.open("wb") as stream:
             np.savez(stream, **arrays)
 

@@ -93,7 +93,9 @@ def socket(
         together = put_together(load_model(limb.path("model")), given, writer)
         donning = donning_options(given, options, together)
         _report_fit(writer, together, given)
-        result = don_and_load(together.limb, together.face, donning, progress=progress)
+        result = don_and_load(
+            together.limb, together.face, donning, keep=out / f".work-{STAGE}", progress=progress
+        )
         masks = patch_masks(together.limb)
         rows = patch_rows(result.states, masks, together.skin.areas)
         _report(writer, result, rows, together)

@@ -198,7 +198,7 @@ def test_stored_solves_that_unpack_without_end_are_solved_again(tmp_path: Path, 
     np.savez_compressed(tmp_path / "k-levels.npz", times=np.zeros(10_000))
     feb = tmp_path / "model.feb"
     feb.write_text("a")
-    key = Restart(feb, "").key
+    key = Restart(feb.parent, feb.read_bytes(), "").key
     arrays = {
         "key": np.array(key),
         "times": np.zeros(1),
@@ -207,9 +207,9 @@ def test_stored_solves_that_unpack_without_end_are_solved_again(tmp_path: Path, 
         "rotation0": [],
     }
     np.savez_compressed(tmp_path / RESTART_FILE, **arrays, more=np.zeros(10_000))
-    assert Restart(feb, "").n_stored == 1
+    assert Restart(feb.parent, feb.read_bytes(), "").n_stored == 1
     monkeypatch.setattr("limbcli.files.unpacking.MOST_UNPACKED", 5000)
-    assert Restart(feb, "").n_stored == 0
+    assert Restart(feb.parent, feb.read_bytes(), "").n_stored == 0
     assert SolveMemo(folder=tmp_path).levels("k") is None
 
 

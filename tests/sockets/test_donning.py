@@ -104,6 +104,34 @@ def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: f
     assert 1.0 < pressed[1] / pressed[0] < 1.2
 
 
+@pytest.mark.parametrize(("n_done", "penetration_mm"), [(4, None), (8, None), (8, 0.015)])
+def test_an_interrupted_run_goes_on_where_it_stopped(n_done, penetration_mm, tmp_path: Path) -> None:
+    """While donning, and under load; with friction, whose path it remembers. The multipliers of augmented
+    contact are found again."""
+    options, keep, steps, reached = replace(OPTIONS, penetration_mm=penetration_mm), tmp_path / "work", [], []
+
+    def listen(kind: str, facts: dict) -> None:
+        if kind == "newton":
+            steps.append((facts["step"], facts["iteration"]))
+            if stops and facts["step"] > n_done:
+                raise KeyboardInterrupt
+        elif kind == "note":
+            reached.append(facts["text"])
+
+    stops = True
+    with pytest.raises(KeyboardInterrupt):
+        don_and_load(limb(), face(), options, threads=1, keep=keep, progress=Progress(listen))
+    stops, steps = False, []
+    found = don_and_load(limb(), face(), options, threads=1, keep=keep, progress=Progress(listen))
+    assert reached == [f"starting from {n_done} load steps that are already solved"]
+    if penetration_mm is None:
+        assert {k for step, k in steps if step <= n_done} == {0}, "known steps are in equilibrium"
+    whole = don_and_load(limb(), face(), options, threads=1)
+    for ours, theirs in zip(found.states, whole.states, strict=True):
+        assert ours.pressure_mpa == pytest.approx(theirs.pressure_mpa, rel=1e-2, abs=1e-5)
+    assert not keep.exists()
+
+
 def test_without_friction_fewer_steps_say_what_they_lead_to() -> None:
     told: list[str] = []
     listener = Progress(lambda kind, facts: told.append(facts["aim"]) if kind == "newton" else None)
