@@ -28,8 +28,7 @@ from limbcli.stiffness_field import (
     limb_coordinates,
     stiffness_field,
 )
-
-_WIDTH = 2 * 1.959964  # of a 95 % interval, in standard deviations
+from limbcli.stiffness_field.likelihood import REACH
 
 
 @dataclass(frozen=True, eq=False)
@@ -151,7 +150,7 @@ def cohort_priors(folder: Path, location: str | None) -> dict[str, FieldPrior]:
             continue
         found[parameter] = replace(
             PRIORS[parameter], mean=float(np.log(own["geometric_mean"] * scale)),
-            deviation=float(np.hypot(own["spread_of_ln"], np.log(own["high"] / own["low"]) / _WIDTH)),
+            deviation=float(np.hypot(own["spread_of_ln"], np.log(own["high"] / own["low"]) / (2 * REACH))),
             source=f"cohort, location {name}, {sites[name]['n_people']} people",
         )  # fmt: skip
     return found
