@@ -16,7 +16,12 @@ from limbcli.files.atomic import sha256
 from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.results import StageResult, StageWriter, open_stage, plain, write_sealed
 from limbcli.stages.limb_field.case_field import case_field, cohort_priors
-from limbcli.stages.limb_field.site_results import of_diagnosis, of_fit, site_results
+from limbcli.stages.limb_field.site_results import (
+    force_ratio_on_limb,
+    of_diagnosis,
+    of_fit,
+    site_results,
+)
 from limbcli.stiffness_field import LABELS
 from tests.stiffness_field import synthetic as limb
 
@@ -83,6 +88,18 @@ def test_what_a_fit_finds_from_the_force_is_moved_half_way_to_free_cuts():
     assert values["c"].value == pytest.approx(0.008)
     assert values["f_kappa"].high is None
     assert "free cuts" in source
+
+
+def test_a_fit_that_is_not_moved_says_how_much_less_force_the_limb_gives():
+    """Free cuts take a fifth at the deepest level: half-way in logarithms the limb has sqrt(0.8)."""
+    free = {"cut_free": {"depths_mm": [2.0, 4.0], "force_change_fraction": [-0.1, -0.2]}}
+    assert force_ratio_on_limb({**FIT, "boundary_check": free}) == pytest.approx(0.8**0.5)
+    moved = {"cut_free": {**free["cut_free"], "m": 5.0}}
+    for known in (FIT, {**FIT, "boundary_check": moved}, {**FIT, "boundary_check": {"cut_free": {}}}):
+        assert force_ratio_on_limb(known) is None
+    found = read(fit=result("fit", {**FIT, "boundary_check": free}))
+    assert found.force_ratio == {"p1": pytest.approx(0.8**0.5)}
+    assert not read(diagnose=result("diagnose", DIAGNOSED)).force_ratio
 
 
 def test_a_fit_gives_all_parameters_in_mpa_with_intervals_and_correlation():

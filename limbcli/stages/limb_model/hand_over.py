@@ -100,9 +100,14 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
         + (f" ({', '.join(each['assumed'])} assumed)" if each["assumed"] else "")
         for name, each in data["layers"].items()
     ]
+    of_sites = stiffness.get("field", {}).get("sites", {})
     sites = [
         f"site {name}: c = {each['c_kpa'][0]:.4g} kPa, from {each['source']}"
-        for name, each in stiffness.get("field", {}).get("sites", {}).items() if "c_kpa" in each
+        for name, each in of_sites.items() if "c_kpa" in each
+    ]  # fmt: skip
+    softer = [
+        f"{name} {100 * (each['force_ratio_on_limb'] - 1):+.1f} %"
+        for name, each in of_sites.items() if each.get("force_ratio_on_limb")
     ]  # fmt: skip
     return (
         plain_text_templates(templates_folder() / "limb")
@@ -126,6 +131,7 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
             labels=", ".join(f"{k} {name}" for k, name in enumerate(LABELS)),
             layers=layers,
             sites=sites,
+            softer=softer,
             source=segmented.data.get("source", "segment"),
             warnings=list(dict.fromkeys(writer.warnings)),
         )
