@@ -26,6 +26,9 @@ _SMALLEST = 1e-3  # increments shorter than this fraction of the model's step si
 _LOOSE, _FIRM = 3e-2, 1e-3
 _RESTED = 1e-2  # the same for an intermediate increment solved by relaxation
 _NEAR = 0.3  # relative residual up to which relaxation starts from Newton's best iterate
+# After a guess from an earlier solve has failed, the part of the load step that is tried without it: where
+# such a guess fails, the whole load step mostly does, too.
+_WITHOUT_GUESS = 0.5
 _FIRST = 4.0  # first increment as a multiple of the model's step size, for a path-independent response
 _MOST_RELAXATIONS = 3  # number of failed relaxations per load step after which none is attempted
 _FAR_OUT = 3.0  # relative residual of an initial guess above which an increment is shortened without a try
@@ -157,10 +160,11 @@ class LoadStepping:
         return state, forces
 
     def _shorten(self, way: LoadStepPath, increment: Increment) -> None:
-        """Halve the increment; if a guess from an earlier solve was used, retry without it instead."""
+        """Halve the increment; after a guess from an earlier solve, go on without it from the last state."""
         newton = self._newton
         if way.known is not None:
-            self._reached = replace(self._reached, increment=increment.rest, n_steady=0)
+            share = _WITHOUT_GUESS if self._incremental else 1.0
+            self._reached = replace(self._reached, increment=share * increment.rest, n_steady=0)
         else:
             self._reached = replace(self._reached, increment=0.5 * increment.length, n_steady=_STEADY)
         way.known = None
