@@ -1,7 +1,7 @@
 #!/bin/sh
 # trimesh 5.2.0: a box of 10 inches, `units = "inches"`, saved as 3MF, whose root states the unit of its
 # lengths.
-# Guess: the file states inches, or holds 254 mm; 3MF has both units (3MF Core Specification 1.3, attribute unit of model).
+# Guess: the file states inches, or holds 254 mm; 3MF has both (3MF Core Specification 1.3, attribute `unit`).
 # Seen:  the file states millimeter and holds 10: read again, the box is 25.4 times smaller. trimesh reads the
 #        unit of a 3MF in inches, so the unit is lost in writing only.
 # Exits non-zero if that changes.

@@ -120,6 +120,7 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
     [
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
         (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'? Then convert the values"),
+        (HEADER.replace("swe_mean_m_per_s", "swe_mean_kpa"), "m/s: sqrt(E/3) of a Young's modulus E in kPa"),
         (HEADER.replace("force_n,", ""), "its name includes the unit (N)"),
         (HEADER.replace("swe_pixels", "depth_mm"), "appears twice"),
         (HEADER.replace(",", ";"), "not separated by commas"),
