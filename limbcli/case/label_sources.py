@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from limbcli.case.files import CaseFiles
+from limbcli.case.label_tables import read_label_table
 from limbcli.errors.problems import Problem
 
 
@@ -16,15 +17,20 @@ class LabelSource:
 
     path : a file, or a folder with a file for each segment
     preset : name of the program whose numbers it has; names : tissue by number or name
+    titles : names by number (as text) in a file beside it; they count more than its own
     """
 
     path: Path
     preset: str | None = None
     names: Mapping[str, str] = field(default_factory=dict)
+    titles: Mapping[str, str] = field(default_factory=dict)
 
 
 def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource, ...], list[Problem]]:
-    """The label maps of a case: one or several, each a name or a table with `file`, `preset` and numbers."""
+    """The label maps of a case: one or several, each a name or a table.
+
+    A table has `file`, and where needed `preset`, `names` (a file) and tissues by number or name.
+    """
     sources, problems = [], []
     listed = [] if raw is None else raw if isinstance(raw, list) else [raw]
     for k, each in enumerate(listed):
@@ -33,7 +39,14 @@ def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource
         path, found = files.existing(table.get("file"), label, is_folder=None)
         problems += found
         preset = table.get("preset")
-        names = {key: word for key, word in table.items() if key not in ("file", "preset")}
+        titles: dict[str, str] = {}
+        listing, found = files.existing(table.get("names"), f"{label}.names", is_folder=False)
+        problems += found
+        if listing is not None:
+            read, found = read_label_table(listing, f"{label}.names")
+            titles = {str(number): name for number, name in read.items()}
+            problems += found
+        names = {key: word for key, word in table.items() if key not in ("file", "preset", "names")}
         if path is not None and all(isinstance(word, str) for word in names.values()):
-            sources.append(LabelSource(path, preset if isinstance(preset, str) else None, names))
+            sources.append(LabelSource(path, preset if isinstance(preset, str) else None, names, titles))
     return tuple(sources), problems

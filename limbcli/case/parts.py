@@ -91,7 +91,7 @@ class Imaging:
     def label_maps(self) -> tuple[LabelSource, ...]:
         """
         >>> Imaging(labels=Path("a.nii")).label_maps
-        (LabelSource(path=PosixPath('a.nii'), preset=None, names={}),)
+        (LabelSource(path=PosixPath('a.nii'), preset=None, names={}, titles={}),)
         """
         return self.labels if isinstance(self.labels, tuple) else (LabelSource(self.labels),)
 

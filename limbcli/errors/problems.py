@@ -75,6 +75,9 @@ def checked(value: Checked | None, problems: Iterable[Problem], family: type[Any
     return value
 
 
+SPEED_FROM_KPA = "sqrt(E/3) of a Young's modulus E in kPa, or the square root of a shear modulus in kPa"
+
+
 def suggestion(name: str, known: Iterable[str]) -> str:
     """The most similar known name, as part of a sentence.
 
@@ -101,5 +104,6 @@ def _other_unit(name: str, near: str) -> str:
         stem = near.removesuffix(suffix)
         rest = name.removeprefix(f"{stem}_")
         if stem != near and name != near and rest != name and rest in _OTHER_UNITS:
-            return f" Then convert the values: that one is in {unit}"
+            told = f" Then convert the values: that one is in {unit}"
+            return f"{told}: {SPEED_FROM_KPA}" if unit == "m/s" and rest.endswith("kpa") else told
     return ""

@@ -55,11 +55,12 @@ def read_dicom_seg(path: Path) -> NamedMasks:
         raise CaseError("the label map is not a DICOM file", where=str(path), fix=_FIX) from error
     try:
         if str(dataset.get("Modality", "")) != "SEG":
-            raise CaseError(
-                f"the DICOM file's Modality (0008,0060) is {dataset.get('Modality', 'absent')}, not SEG",
-                where=str(path),
-                fix="[imaging] labels takes a DICOM SEG; an image series belongs in [imaging] mri",
-            )
+            modality = dataset.get("Modality", "absent")
+            fix = "[imaging] labels takes a DICOM SEG; an image series belongs in [imaging] mri"
+            if modality == "RTSTRUCT":
+                fix = "it holds contours: save them as a label map (.seg.nrrd) in 3D Slicer (SlicerRT)"
+            what = f"the DICOM file's Modality (0008,0060) is {modality}, not SEG"
+            raise CaseError(what, where=str(path), fix=fix)
         return _masks(dataset, path)
     except DICOM_DAMAGED as error:
         raise CaseError(

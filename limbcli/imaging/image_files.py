@@ -18,6 +18,8 @@ _RIGHT_ANGLE = 1e-2  # largest cosine between two axes that count as perpendicul
 # HU: a volume counts as CT if _AIR_SHARE of its values lie below (air is at -1000), which is so in no MRI
 _AIR_HU = -500.0
 _AIR_SHARE = 5.0  # per cent
+# different whole numbers in a volume of that many voxels; an image has hundreds, also one of 8 bits
+_MOST_LABELS, _FEWEST_VOXELS = 32, 10_000
 
 
 def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
@@ -40,6 +42,7 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
             fix=f"give a folder with one DICOM series, or a volume that ends in {', '.join(VOLUME_ENDINGS)}",
         )
     volume = _plausible(reader(path), path)
+    _require_image(volume, path)
     volume = volume.with_values(np.asarray(volume.values, dtype=np.float32))
     progress.event("note", text=f"{path.name}: {' x '.join(map(str, volume.shape))} voxels")
     notes: list[str] = []
@@ -77,6 +80,18 @@ def _reader_of(name: str) -> Callable[[Path], Volume] | None:
 
         return read_nrrd_image
     return None
+
+
+def _require_image(volume: Volume, path: Path) -> None:
+    """Refuse a label map: it has a few whole numbers, whatever its format."""
+    found = np.unique(volume.values[:, :, :: max(1, volume.shape[2] // 8)])
+    few = 1 < len(found) <= _MOST_LABELS and volume.values.size > _FEWEST_VOXELS
+    if few and np.array_equal(found, np.round(found)):
+        raise CaseError(
+            f"the image has {len(found)} different values only, all whole numbers: it is a label map",
+            where=str(path),
+            fix="[imaging] mri takes the image; a label map belongs in [imaging] labels",
+        )
 
 
 def _plausible(volume: Volume, path: Path) -> Volume:

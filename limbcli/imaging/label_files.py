@@ -1,13 +1,14 @@
 """Read label maps in the formats of segmentation programs and convert them to our labels.
 
 Whatever the format, a file is a list of segments, each with a number, a name or both. A segment is, in this
-order, what [imaging.labels] says of its number or name, what its name says, what the preset says of its
-number. A file without names, preset and table contains our numbers (1 soft tissue, 2 bone, 3 marker, 4 fat).
+order, what [imaging.labels] says of its number or name, what its name says (of a file of names that the
+table names, else its own), what the preset says of its number. A file without names, preset and table
+contains our numbers (1 soft tissue, 2 bone, 3 marker, 4 fat), unless no limb can be so.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,7 @@ from numpy.typing import NDArray
 from limbcli.case.label_sources import LabelSource
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
+from limbcli.files.dicom import has_preamble
 from limbcli.imaging.dicom_seg import read_dicom_seg
 from limbcli.imaging.label_frame import in_order_of, same_grid
 from limbcli.imaging.label_names import (
@@ -32,6 +34,7 @@ from limbcli.imaging.label_names import (
 from limbcli.imaging.labels import checked_labels, read_nifti_labels, require_three_dimensions
 from limbcli.imaging.metaimage import read_metaimage
 from limbcli.imaging.nrrd import Nrrd, read_nrrd
+from limbcli.imaging.own_numbers import own_number_doubts
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
 from limbcli.imaging.volume import Volume
 
@@ -147,11 +150,13 @@ def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
     CaseError
         If a file cannot be read, or listing every number or name that is not understood.
     """
-    segments = _segments(source.path)
+    segments = [
+        replace(each, name=source.titles.get(str(each.number), each.name)) for each in _segments(source.path)
+    ]
     numbers = [each.number for each in segments if each.number is not None]
     stated = _stated(source)
     preset = _preset(source, numbers)
-    is_ours = not stated and not preset and not any(each.name for each in segments)
+    is_ours = not (stated or preset or source.titles or any(each.name for each in segments))
     meanings = [
         OURS.get(each.number or 0) if is_ours else _meaning(each, stated, preset) for each in segments
     ]
@@ -162,9 +167,27 @@ def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
     ]
     if unknown:
         raise _not_understood(unknown, segments, source)
+    if is_ours and (doubts := own_number_doubts(_in_numbers(segments))):
+        raise CaseError(
+            "the label map does not say what its numbers are, and they cannot be limbcli's: "
+            + "; ".join(doubts),
+            where=str(source.path),
+            fix=f'in {_TABLE} with file = "{source.path.name}", say what each is: '
+            + ", ".join(f'{each.number} = "..."' for each in segments)
+            + f" ({WORDS})",
+        )
     found = [(segment, each) for segment, each in zip(segments, meanings, strict=True) if each is not None]
     _agree(found, preset, stated, source)
     return [(_called(segment, preset), each) for segment, each in found]
+
+
+def _in_numbers(segments: Sequence[Segment]) -> Volume:
+    """The segments of one grid as a map of their numbers."""
+    grid = segments[0].load()
+    values = np.zeros(grid.values.shape, np.uint8)
+    for each in segments:
+        values[each.mask().values] = each.number or 0
+    return grid.with_values(values)
 
 
 def _meaning(
@@ -250,6 +273,8 @@ def _not_understood(
     fix = f"in {_TABLE}{table}, say what each is, or that it is not needed: {lines} (or {WORDS})"
     numbers = [each.number for each in segments if each.number is not None and not each.name]
     presets = [] if len(numbers) < len(segments) or source.preset else presets_with(numbers)
+    if table and len(numbers) == len(segments):
+        fix += '; or names = "..." where a file names them (of ITK-SNAP, 3D Slicer, nnU-Net)'
     if presets:
         fix += f"; if one of these programs wrote it: preset = {' or '.join(map(repr, presets[:4]))}"
     if table and len(numbers) == len(segments):
@@ -302,12 +327,27 @@ def _segments(path: Path) -> list[Segment]:
     if path.is_dir():
         return _of_folder(path)
     name = path.name.lower()
-    if name.endswith(_DICOM):
+    if _is_dicom(path):
         return _of_dicom(path)
+    if not name.endswith(VOLUME_ENDINGS):
+        raise CaseError(
+            f"{path.name} is not in a format of label maps that is read",
+            where=str(path),
+            fix=f"give a DICOM SEG, or a file that ends in {', '.join(VOLUME_ENDINGS)}; a pair of .hdr and "
+            ".img (Analyze, NIfTI), a mesh or contours: convert it in 3D Slicer or ITK-SNAP, with the image "
+            "as reference",
+        )
     if name.endswith(_NRRD):
         nrrd = read_nrrd(path)
         return _of_seg_nrrd(nrrd, path) or _by_number(Volume(nrrd.values, nrrd.affine), {}, path)
     return _by_number(*_numbers_in(path), path)
+
+
+def _is_dicom(path: Path) -> bool:
+    """Whether a file is DICOM, by its ending, or by its content where it has no ending of a volume."""
+    name = path.name.lower()
+    unnamed = not name.endswith(VOLUME_ENDINGS) and path.is_file()
+    return name.endswith(_DICOM) or (unnamed and has_preamble(path))
 
 
 def _numbers_in(path: Path) -> tuple[Volume, dict[int, str]]:
@@ -361,13 +401,15 @@ def _of_seg_nrrd(nrrd: Nrrd, path: Path) -> list[Segment]:
     """The segments that a `.seg.nrrd` describes; none if it describes none.
 
     Older versions of 3D Slicer wrote a layer for each segment, with neither its layer nor its value. Missing
-    entries mean what 3D Slicer takes them for: the layer of the segment's own number, value 1.
+    entries mean what 3D Slicer takes them for: the layer of the segment's own number, value 1. A value that
+    several layers use is no number of a segment, whose name then tells it from the others.
     """
     described: list[str] = []
     while f"Segment{len(described)}_Name" in nrrd.pairs or f"Segment{len(described)}_ID" in nrrd.pairs:
         described.append(f"Segment{len(described)}_")
     layers = nrrd.values if nrrd.values.ndim == 4 else nrrd.values[None]
-    found = []
+    found: list[Segment] = []
+    told: list[list[int]] = [[] for _ in layers]
     for number, key in enumerate(described):
         try:
             own = int(nrrd.pairs.get(key + "Layer", number if len(layers) > 1 else 0))
@@ -388,15 +430,25 @@ def _of_seg_nrrd(nrrd: Nrrd, path: Path) -> list[Segment]:
         volume = Volume(layers[own], nrrd.affine)
         name = nrrd.pairs.get(key + "Name", nrrd.pairs.get(key + "ID", ""))
         found.append(Segment(value, name, lambda volume=volume: volume, value))  # type: ignore[misc]
-    return found
+        told[own].append(value)
+    values = [each.number for each in found]
+    found = [replace(each, number=None) if values.count(each.number) > 1 else each for each in found]
+    return [*found, *_undescribed([Volume(each, nrrd.affine) for each in layers], told)] if found else []
+
+
+def _undescribed(layers: Sequence[Volume], told: Sequence[Sequence[int]]) -> Iterator[Segment]:
+    """A nameless segment for each value of a layer that no description tells of; told : values by layer"""
+    for layer, known in zip(layers, told, strict=True):
+        for value in np.setdiff1d(layer.values, [0, *known]):
+            yield Segment(int(value), "", lambda layer=layer: layer, int(value))  # type: ignore[misc]
 
 
 def _of_folder(folder: Path) -> list[Segment]:
     """A folder with a file for each segment, whose name is the file's."""
     files = sorted(each for each in folder.iterdir() if each.is_file() and not each.name.startswith("."))
     masks = [each for each in files if each.name.lower().endswith(VOLUME_ENDINGS)]
-    dicom = [each for each in files if each.name.lower().endswith(_DICOM)]
-    if not masks and len(dicom) == 1:
+    dicom = [] if masks else [each for each in files if _is_dicom(each)]
+    if len(dicom) == 1:
         return _of_dicom(dicom[0])
     if not masks:
         raise CaseError(

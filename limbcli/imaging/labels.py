@@ -100,8 +100,9 @@ def checked_labels(labels: Volume, path: Path, *, is_whole: bool = True) -> Volu
         raise CaseError(
             f"the label map has no voxel of {' and '.join(missing)}",
             where=str(path),
-            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat; add the file that has it as another "
-            "[[imaging.labels]]; soft tissue is also taken from the image, [imaging] mri",
+            fix="use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat, or say what its numbers are in "
+            "[imaging.labels]; add the file that has it as another [[imaging.labels]]; soft tissue is also "
+            "taken from the image, [imaging] mri",
         )
     return labels.with_values(labels.values.astype(np.uint8))
 

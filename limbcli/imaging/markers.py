@@ -17,7 +17,7 @@ from limbcli.model import Array
 _BALL = 12.0  # mm: radius of the ball of a morphological opening that removes markers but not the limb
 _BLUR = 3.0  # mm around a marker affected by its brightness
 _PROUD = 2.0  # mm: smallest height of a marker above the skin
-_SIZE = (30.0, 4000.0)  # mm^3: smallest and largest volume of a marker
+MARKER_SIZES_MM3 = (30.0, 4000.0)  # smallest and largest volume of a marker
 _AWAY = 15.0  # mm: largest distance of a marker from the limb
 _SAME_HEIGHT = 5.0  # mm: markers whose heights differ by less are numbered by angle
 # degrees to the right of anterior that still count as anterior: nobody places a marker at exactly 0
@@ -76,7 +76,8 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
         boxes = ndimage.find_objects(parts)
         for number in range(1, n_parts + 1):
             extent = [(s.stop - s.start) * h for s, h in zip(boxes[number - 1], spacing, strict=True)]
-            right_size = _SIZE[0] <= volumes[number] <= _SIZE[1] and max(extent) <= _LONGEST
+            low, high = MARKER_SIZES_MM3
+            right_size = low <= volumes[number] <= high and max(extent) <= _LONGEST
             if not right_size or highest[number] < _PROUD:
                 continue
             here = parts == number

@@ -6,7 +6,6 @@ Format: nifti.nimh.nih.gov/nifti-1 (qform, sform and their codes, xyzt_units).
 from __future__ import annotations
 
 import math
-import re
 from pathlib import Path
 
 import nibabel as nib
@@ -17,6 +16,7 @@ from nibabel.spatialimages import HeaderDataError
 from nibabel.wrapstruct import WrapStructError
 from pydicom.errors import InvalidDicomError
 
+from limbcli.case.label_tables import names_by_number
 from limbcli.errors import CaseError
 from limbcli.files.detached_data import beside
 from limbcli.files.unpacking import DAMAGED as NOT_UNPACKED
@@ -237,7 +237,7 @@ def label_names_of(image: object, path: Path) -> dict[int, str]:
                 ) from error
     name = bytes(header["aux_file"]).rstrip(b"\0").decode("utf-8", "replace").strip()
     found = beside(path, name) if name and int(header["intent_code"]) == _INTENT_LABEL else None
-    return _names_in(found.read_text(encoding="utf-8", errors="replace")) if found else {}
+    return names_by_number(found.read_text(encoding="utf-8", errors="replace")) if found else {}
 
 
 def _label_table(content: bytes) -> dict[int, str]:
@@ -250,22 +250,4 @@ def _label_table(content: bytes) -> dict[int, str]:
         key = str(each.get("Key", ""))
         if key.lstrip("-").isdecimal() and own_text(each).strip():
             found[int(key)] = own_text(each).strip()
-    return found
-
-
-def _names_in(text: str) -> dict[int, str]:
-    """Names in a text file of labels: in quotes (ITK-SNAP), else the words after the number.
-
-    >>> _names_in('# a comment\\n 2 255 0 0 1 1 1 "Left tibia"\\n3 fibula 0 0 255 0\\n4\\tsoft tissue')
-    {2: 'Left tibia', 3: 'fibula', 4: 'soft tissue'}
-    """
-    found = {}
-    for line in text.splitlines():
-        numbered = re.match(r"\s*(\d+)\W+(.*)", line)
-        if numbered is None:
-            continue
-        quoted = re.search(r'"([^"]+)"', line)
-        words = quoted[1] if quoted else " ".join(re.findall(r"[^\W\d][\w-]*", numbered[2]))
-        if words:
-            found[int(numbered[1])] = words
     return found

@@ -67,7 +67,12 @@ def matches(title: str, name: str) -> bool:
     False
     """
     bare, unit = stated_unit(title, name)
-    return bool(unit) and "_".join(bare.lower().split()) == quantity(name)
+    return bool(unit) and is_called(bare, name)
+
+
+def is_called(title: str, name: str) -> bool:
+    """Whether a title without a unit is that of one of our columns: "Time" for `time_s`."""
+    return "_".join(title.lower().split()) == quantity(name)
 
 
 def is_unit(word: str, name: str) -> bool:

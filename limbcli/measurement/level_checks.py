@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.errors.problems import Problem
+from limbcli.errors.problems import SPEED_FROM_KPA, Problem
 from limbcli.measurement.layer_checks import LayerNoise
-from limbcli.measurement.levels import FEWEST_LOADING, Levels
+from limbcli.measurement.levels import FEWEST_LOADING, TOUCH_FORCE, Levels
 from limbcli.measurement.number_table import RawTable, problem
 from limbcli.model import Array
 from limbcli.numbers.units import mpa_from_pa
@@ -263,19 +263,22 @@ def check_zero(
 ) -> list[Problem]:
     """Level 0 is the origin of the depths: if it is not at 0, all depths are shifted.
 
-    A force that was already acting explains such a depth, with a curve that is softest at its start.
+    A force that was already acting explains such a depth, with a curve that is softest at its start. Depths
+    that fall are the matter of `check_order`.
     """
     at, force = float(levels.depth[0]), max(float(levels.force[0]), 0.0)
     loading = levels.loading
     span_force, span_depth = (float(np.ptp(each[loading])) for each in (levels.force, levels.depth))
-    if not levels.begins_at_zero or span_force <= 0 or span_depth <= 0:
+    if levels.phase[0] != "load" or levels.force[0] > TOUCH_FORCE or at > levels.depth[loading].min():
+        return []
+    if span_force <= 0 or span_depth <= 0:
         return []
     unsure = _ZERO_SIGMAS * (noise or LayerNoise()).depth
     if -unsure <= at <= unsure + _SOFTER_AT_FIRST * force * span_depth / span_force:
         return []
     what = f"level 0 is at {at:.3g} mm and {levels.force[0]:.3g} N, but depth_mm counts from level 0"
     fix = f"subtract {at:.3g} mm from every depth if this is first touch; otherwise also measure first touch"
-    return [problem(what, path, fix, line=table.lines[0], warning=True)]
+    return [problem(what, path, fix, line=table.lines[0], warning=levels.begins_at_zero)]
 
 
 def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
@@ -357,10 +360,12 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         return [problem("there is no shear-wave speed at any level", path, fix, warning=True)]
     for k in np.flatnonzero((speed < _SPEED_LOW_M_PER_S) | (speed > _SPEED_HIGH_M_PER_S)):
         too_fast = speed[k] > _SPEED_HIGH_M_PER_S
-        unit = "a modulus in kPa, or in cm/s" if too_fast else "a modulus in MPa, or a masked value"
+        unit = "a modulus in MPa, or a masked value?"
+        if too_fast:
+            unit = f"in cm/s, or a modulus in kPa? then write {SPEED_FROM_KPA}"
         what = f"swe_mean_m_per_s is {speed[k]:g}; soft tissue gives {_SPEED_LOW_M_PER_S:g} to "
         what += f"{_SPEED_HIGH_M_PER_S:g} m/s"
-        problems.append(problem(what, path, f"the column is in m/s (is it {unit}?)", line=table.lines[k]))
+        problems.append(problem(what, path, f"the column is in m/s (is it {unit})", line=table.lines[k]))
     if speed[0] > _SPEED_UNUSUAL_M_PER_S:
         what = f"the speed at level 0 is {speed[0]:g} m/s; relaxed soft tissue is slower, mostly 1 to 3.5 m/s"
         fix = "check that the column holds speeds (m/s), not a modulus (kPa), and that the muscle was relaxed"

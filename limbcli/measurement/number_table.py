@@ -5,7 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import re
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
@@ -19,6 +19,11 @@ _SHOWN_PER_FILE = 8
 # Unit suffixes of column names; a longer suffix comes before one that it ends in.
 _UNITS = {"_mpa_per_mm": "MPa/mm", "_m_per_s": "m/s", "_mm": "mm", "_n": "N", "_s": "s"}
 SEPARATOR_LINE = re.compile(r"^\ufeff?sep=(.)\r?$", re.IGNORECASE)  # for spreadsheets, above a header
+_BINARY = {
+    b"PK\x03\x04": "an Excel workbook, or another archive", b"\xd0\xcf\x11\xe0": "an old Excel workbook",
+    b"TDSh": "the index of a TDMS file beside it", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file",
+    b"\x1f\x8b": "compressed", b"\x89PNG": "a picture", b"%PDF": "a PDF",
+}  # fmt: skip
 _LONGEST_CELL = 40  # characters of a cell that are shown
 # the line is kept, empty, so that line numbers stay correct
 _COMMENT = re.compile(r"^[ \t]*#[^\r\n]*", re.MULTILINE)
@@ -128,6 +133,15 @@ def number_of(cell: str) -> float:
     return float(cell)
 
 
+def binary_kind(content: bytes) -> str | None:
+    """What a binary file is that is mistaken for a table, by its first bytes; None if they tell nothing.
+
+    >>> binary_kind(b"PK\\x03\\x04..."), binary_kind(b"force_n,depth_mm")
+    ('an Excel workbook, or another archive', None)
+    """
+    return next((words for magic, words in _BINARY.items() if content.startswith(magic)), None)
+
+
 def shown(cell: str) -> str:
     """A cell in quotes, as a message shows it; only the beginning of a long one.
 
@@ -141,7 +155,9 @@ def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
     try:
         content = path.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError:
-        return None, [problem("the file is not UTF-8 text", path, "save it as CSV in UTF-8")]
+        kind = binary_kind(path.read_bytes())
+        what = "the file is not UTF-8 text" + (f" but {kind}" if kind else "")
+        return None, [problem(what, path, "save it as CSV in UTF-8")]
     except FileNotFoundError:
         fix = "put it there; `limbcli measure CASE --write` creates levels.csv from the instruments' files"
         return None, [problem("the file was not found", path, fix)]
@@ -155,11 +171,16 @@ def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
 
 
 def _check_header(
-    header: list[str], path: Path, *, required: Collection[str], known: Collection[str]
+    header: list[str], path: Path, *, required: Collection[str], known: Set[str]
 ) -> list[Problem]:
-    if len(header) == 1 and (";" in header[0] or "\t" in header[0]):
+    apart = {each.strip() for each in re.split(r"[;\t]", ";".join(header))}
+    if len(header) == 1 and len(apart) > 1 and apart & known:
         fix = "separate with commas (and write decimals with a point)"
         return [problem("the columns are not separated by commas", path, fix, line=1)]
+    if not apart & known and not any(header[1:]):
+        what = f"the first line, {shown(header[0])}, is not a header"
+        fix = f"begin the file with the names of its columns: {','.join(required)}"
+        return [problem(what, path, fix, line=1)]
     problems = []
     for name in header:
         if name not in known:

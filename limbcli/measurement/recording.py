@@ -6,7 +6,7 @@ states the names and units of the columns.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -15,9 +15,17 @@ import numpy as np
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import suggestion
 from limbcli.measurement import lvm
-from limbcli.measurement.column_units import factor, is_unit, matches, quantity, stated_unit, stated_word
+from limbcli.measurement.column_units import (
+    factor,
+    is_called,
+    is_unit,
+    matches,
+    quantity,
+    stated_unit,
+    stated_word,
+)
 from limbcli.measurement.number_table import number_of, shown
-from limbcli.measurement.sheet import Sheet, cell, csv_sheet, text_of
+from limbcli.measurement.sheet import Sheet, cell, csv_sheet, is_number, text_of
 from limbcli.measurement.tdms import is_tdms, tdms_sheet
 from limbcli.measurement.trace import (
     LONGEST_S,
@@ -70,12 +78,10 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
         or a LabVIEW file has its force and another column at different times.
     """
     form = form or RecordingFormat()
-    sheet = _sheet(path, form)
+    sheet = _with_unit_row(_sheet(path, form))
     positions = {}
     for name in COLUMNS:
-        position = _position(
-            sheet.header, form.columns.get(name, name), name, path, requested=name in form.columns
-        )
+        position = _position(sheet, form.columns.get(name, name), name, path, requested=name in form.columns)
         if position is not None:
             positions[name] = position
     if "time_s" not in positions and lvm.TIME in sheet.header:
@@ -83,12 +89,13 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     for name in ("time_s", "force_n"):
         if name not in positions:
             fix = f'state which one it is: columns = {{ {name} = "..." }}; ' + suggestion(name, sheet.header)
+            if all(map(is_number, sheet.header)):
+                fix = f"begin the file with the names of its columns, such as {','.join(TRACE_REQUIRED)}"
             raise MeasurementError(f"the record has no column {name!r}", where=str(path), fix=fix)
     if sheet.header[positions["time_s"]] == lvm.TIME and list(sheet.header).count(lvm.TIME) > 1:
         positions["time_s"] = _time_of_force(sheet, positions, path)
         timed = [row for row in sheet.rows if cell(row, positions["time_s"])]  # other channels may be longer
         sheet = Sheet(sheet.header, timed, sheet.separator, sheet.units)
-    sheet = _with_unit_row(sheet, positions)
     values = _values(sheet, positions, form, path)
     _check_time(values["time_s"], path)
     k = positions["time_s"]
@@ -134,17 +141,18 @@ def _sheet(path: Path, form: RecordingFormat) -> Sheet:
         )
 
     def has_columns(titles: Sequence[str]) -> bool:
-        wanted = {name: form.columns.get(name, name) for name in ("time_s", "force_n")}
-        return all(_places(titles, title, name) for name, title in wanted.items())
+        """Also without units, which may stand in the next line."""
+        wanted = {name: form.columns.get(name, name) for name in TRACE_REQUIRED}
+        return all(_places(titles, title, name, lambda _: "?") for name, title in wanted.items())
 
     return csv_sheet(text, path, has_columns, separator=form.separator)
 
 
-def _with_unit_row(sheet: Sheet, positions: Mapping[str, int]) -> Sheet:
+def _with_unit_row(sheet: Sheet) -> Sheet:
     """The sheet without a first row of units, "(s)" below "Time", which become those of its columns."""
     first = [each.strip().strip("()[]{} ") for each in sheet.rows[0]]
-    cells = {name: cell(first, positions[name]) for name in ("time_s", "force_n")}
-    if not any(is_unit(word, name) for name, word in cells.items()):
+    is_told = any(is_unit(word, name) for word in first for name in TRACE_REQUIRED)
+    if not is_told or any(map(is_number, first)):
         return sheet
     return Sheet(sheet.header, sheet.rows[1:], sheet.separator, first)
 
@@ -193,25 +201,32 @@ def _decimal(cells: list[str]) -> str:
     return "," if sum("," in each for each in cells) > sum("." in each for each in cells) else "."
 
 
-def _places(titles: Sequence[str], wanted: str, name: str) -> list[int]:
-    """The columns called `wanted`, else those called so beside a unit; `wanted` may be our own name."""
+def _places(
+    titles: Sequence[str], wanted: str, name: str, unit: Callable[[int], str] = lambda _: ""
+) -> list[int]:
+    """The columns called `wanted`, else those called so beside a unit; `wanted` may be our own name.
+
+    unit : of a column, as another line than the header states it
+    """
     bare = [title.lstrip("#").strip() for title in titles]
     return (
         [k for k, title in enumerate(titles) if title == wanted]
         or [k for k, title in enumerate(bare) if title == wanted]
         or [k for k, title in enumerate(bare) if stated_unit(title, name)[0] == wanted]
         or [k for k, title in enumerate(bare) if wanted == name and matches(title, name)]
+        or [k for k, title in enumerate(bare) if wanted == name and is_called(title, name) and unit(k)]
     )
 
 
-def _position(titles: Sequence[str], wanted: str, name: str, path: Path, *, requested: bool) -> int | None:
-    places = _places(titles, wanted, name)
+def _position(sheet: Sheet, wanted: str, name: str, path: Path, *, requested: bool) -> int | None:
+    titles = sheet.header
+    places = _places(titles, wanted, name, lambda k: sheet.unit(k) if is_unit(sheet.unit(k), name) else "")
     if len(places) > 1 and wanted != lvm.TIME:
         raise MeasurementError(
             f"{len(places)} columns of the record are called {wanted!r} "
             f"({', '.join(str(k + 1) for k in places)})",
             where=str(path),
-            fix="rename the others, or export the record without them",
+            fix="give the whole title of one in columns; or rename the others, or export it without them",
         )
     if places:
         return places[0]

@@ -12,13 +12,8 @@ from pathlib import Path
 
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import checked
-from limbcli.measurement.number_table import SEPARATOR_LINE, csv_rows, number_of
+from limbcli.measurement.number_table import SEPARATOR_LINE, binary_kind, csv_rows, number_of
 
-_BINARY = {
-    b"PK\x03\x04": "an Excel workbook, or another archive", b"\xd0\xcf\x11\xe0": "an old Excel workbook",
-    b"TDSh": "the index of a TDMS file beside it", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file",
-    b"\x1f\x8b": "compressed", b"\x89PNG": "a picture", b"%PDF": "a PDF",
-}  # fmt: skip
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
 _MOST_CONTROL = 0.01  # share of control characters above which a file is not text
 _SPECIAL = re.compile(rb"\*\*\*Start_Special\*\*\*.*?(?:\*\*\*End_Special\*\*\*[^\r\n]*|\Z)", re.DOTALL)
@@ -67,7 +62,7 @@ def text_of(path: Path) -> str:
         If it is a binary file; its content is not shown.
     """
     content = path.read_bytes()
-    kind = next((words for magic, words in _BINARY.items() if content.startswith(magic)), None)
+    kind = binary_kind(content)
     if content.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         encodings = ["utf-16"]
     elif kind is None and content[1::2].count(0) > 0.4 * len(content):  # UTF-16 without its mark

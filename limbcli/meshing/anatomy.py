@@ -21,7 +21,7 @@ from limbcli.model import Array
 SKIN = "skin"
 # volume of a plausible limb, cm3: from a short residual limb of a child to a whole thigh and leg
 _SKIN_CM3 = (100.0, 2.5e4)
-_LEAST_BONE_CM3 = 0.15  # smallest volume of a bone, cm3; the same limit as for label maps (imaging.labels)
+LEAST_BONE = 150.0  # smallest volume of a bone, mm3; the same limit as for label maps (imaging.labels)
 # volume of all bones as a fraction of the limb's: warning above the first, error above the second
 _BONE_SHARE = (0.5, 0.8)
 # a bone's point farther outside the skin than this counts as outside; less is surface roughness
@@ -94,7 +94,7 @@ def _sizes(volume: float, bones: Mapping[str, Triangles], where: str) -> list[Pr
         found.append(_problem(what, where, "save the surfaces in mm (patient LPS)", error=severe))
     volumes = {name: abs(each.volume) for name, each in bones.items()}
     for name, each in volumes.items():
-        if each / 1e3 < _LEAST_BONE_CM3:
+        if each < LEAST_BONE:
             what = f"{name} encloses only {each / 1e3:.2g} cm3"
             found.append(_problem(what, where, "remove it, or give the whole bone"))
     share = sum(volumes.values()) / max(volume, 1e-9)

@@ -9,11 +9,13 @@ from pathlib import Path
 import nibabel as nib
 import numpy as np
 import pytest
+from limb_images import Limb
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.image_files import read_image
+from limbcli.imaging.labels import write_labels
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 
 
@@ -224,6 +226,13 @@ def test_other_files_are_refused_with_what_can_be_read(tmp_path):
     with pytest.raises(CaseError, match=r"not in a supported image format") as caught:
         read_image(tmp_path / "a.img")
     assert ".nii.gz" in caught.value.fix
+
+
+def test_a_label_map_given_as_image_is_refused(tmp_path):
+    drawn, labels = Limb().image(shape=(52, 46, 10), spacing=(2, 2, 4), samples=1)
+    write_labels(tmp_path / "a.nii.gz", drawn.with_values(labels))
+    with pytest.raises(CaseError, match=r"3 different values only.*label map(.|\n)*imaging. labels"):
+        read_image(tmp_path / "a.nii.gz")
 
 
 def test_values_that_are_no_numbers_are_taken_for_air_and_that_is_said(image, tmp_path):

@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import gzip
 
+import nibabel as nib
 import numpy as np
 import pydicom
 import pytest
 from limb_images import Limb, dicom_seg, without_meta
 from scipy.spatial.transform import Rotation
 
+from limbcli.case.label_sources import LabelSource
 from limbcli.errors import CaseError
-from limbcli.imaging.label_files import read_label_file
+from limbcli.imaging.label_files import read_label_file, read_label_map
 from limbcli.imaging.label_names import meaning_of
 from limbcli.imaging.labels import write_labels
 from limbcli.imaging.nrrd import read_nrrd
@@ -117,6 +119,13 @@ def test_a_seg_nrrd_with_an_impossible_description_is_refused(truth, tmp_path, e
     path = nrrd(tmp_path / "s.seg.nrrd", truth, extra=f"Segment0_Name:=Skin\n{entry}\n")
     with pytest.raises(CaseError, match=r"segment 0"):
         read_label_file(path)
+
+
+def test_a_value_that_a_seg_nrrd_does_not_describe_is_refused(truth, tmp_path):
+    extra = "Segment0_Name:=Skin\nSegment0_LabelValue:=1\nSegment1_Name:=Marker\nSegment1_LabelValue:=3\n"
+    with pytest.raises(CaseError, match="2") as caught:
+        read_label_file(nrrd(tmp_path / "s.seg.nrrd", truth, extra=extra))
+    assert caught.value.facts["unknown"] == ["2"]
 
 
 def test_segments_without_telling_names_are_refused(truth, tmp_path):
@@ -241,13 +250,40 @@ def test_slices_that_are_not_evenly_spaced_are_refused(truth, tmp_path):
         read_label_file(path)
 
 
-def test_an_image_is_no_dicom_seg(truth, tmp_path):
+@pytest.mark.parametrize(("modality", "fix"), [("MR", "imaging. mri"), ("RTSTRUCT", "SlicerRT")])
+def test_an_image_or_contours_are_no_dicom_seg(truth, tmp_path, modality, fix):
     path = dicom_seg(tmp_path / "seg.dcm", truth, {"Soft tissue": 1, "Bone": 2})
     dataset = pydicom.dcmread(path)
-    dataset.Modality = "MR"
+    dataset.Modality = modality
     dataset.save_as(path)
-    with pytest.raises(CaseError, match="0008,0060"):
+    with pytest.raises(CaseError, match=f"0008,0060(.|\n)*{fix}"):
         read_label_file(path)
+
+
+@pytest.mark.parametrize("name", ["IM000001", "1.2.826.0.1.7"])
+def test_a_dicom_seg_needs_no_ending(truth, tmp_path, name):
+    (tmp_path / "seg").mkdir()
+    path = dicom_seg(tmp_path / "seg" / name, truth, {"Soft tissue": 1, "Bone": 2, "Marker": 3})
+    assert_same(read_label_file(path), truth)
+    assert_same(read_label_file(path.parent), truth)
+
+
+def test_other_formats_are_refused_with_those_that_are_read(truth, tmp_path):
+    path = tmp_path / "a.img"
+    nib.save(nib.AnalyzeImage(truth.values.astype(np.int16), np.diag([2.0, 2.0, 4.0, 1.0])), path)
+    with pytest.raises(CaseError, match=r"not in a format(.|\n)*\.nii\.gz(.|\n)*Analyze"):
+        read_label_file(path)
+
+
+def test_segments_of_one_value_in_several_layers_are_told_apart_by_name(truth, tmp_path):
+    layers = np.stack([truth.values > 0, truth.values == 2]).astype(np.uint8)
+    extra = "".join(f"Segment{k}_Name:=Segment_{k}\nSegment{k}_LabelValue:=1\nSegment{k}_Layer:={k}\n"
+                    for k in (0, 1))  # fmt: skip
+    path = nrrd(tmp_path / "a.seg.nrrd", truth, values=layers, extra=extra)
+    with pytest.raises(CaseError, match='"Segment_0" = "ignore", "Segment_1" = "ignore"'):
+        read_label_file(path)
+    source = LabelSource(path, names={"Segment_0": "soft tissue", "Segment_1": "bone"})
+    assert (read_label_map([source]).volume.values == 2).sum() == (truth.values == 2).sum()
 
 
 NAMES = {

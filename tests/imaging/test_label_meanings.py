@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import re
 import zlib
 
 import nibabel as nib
 import numpy as np
 import pytest
 from limb_images import Limb
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from limbcli.case.label_sources import LabelSource
+from limbcli.case.files import CaseFiles
+from limbcli.case.label_sources import LabelSource, read_label_sources
 from limbcli.errors import CaseError
 from limbcli.files.atomic import sha256
 from limbcli.imaging.label_files import label_lines, read_label_file, read_label_map
@@ -120,6 +123,31 @@ def test_a_table_of_numbers_makes_any_format_ours(truth, tmp_path, name):
     assert f"{name}: taken for bone: 8151" in found.lines
 
 
+@pytest.mark.parametrize(
+    ("numbers", "doubt"),
+    [
+        ({1: 2, 4: 2, 20: 1, 30: 1}, "bone .2. would lie outside"),
+        ({1: 3, 20: 1, 30: 2}, "marker .3. would have"),
+        ({1: 1, 20: 2, 30: 3}, "markers .3. would lie within the limb"),
+        ({1: 1, 4: 2, 20: 3, 30: 3}, "soft tissue .* within the bone"),
+        ({1: 4, 4: 1, 20: 2, 30: 2}, "fat .4. would lie .* deep"),
+    ],
+    ids=["bone-flesh", "tibia-fibula-flesh", "flesh-tibia-fibula", "muscle-fat-bone", "fat-bone-muscle"],
+)
+def test_numbers_from_1_of_another_program_are_not_taken_for_ours(truth, tmp_path, numbers, doubt):
+    both = two_bones(truth.with_values(truth.values[:, :, :6]))  # 3 cm3 of fibula: as small as a marker
+    limb = ndimage.binary_fill_holes(both.values > 0)
+    depth = ndimage.distance_transform_edt(limb, sampling=both.spacing)
+    both = both.with_values(np.where((both.values == 1) & (depth > 2) & (depth < 7), 4, both.values))
+    path = nifti(tmp_path / "a.nii", renumbered(both, numbers))
+    with pytest.raises(CaseError, match=doubt) as caught:
+        read_label_file(path)
+    assert '1 = "..."' in caught.value.fix
+    words = {1: "soft tissue", 4: "fat", 20: "bone", 30: "bone"}
+    stated = {str(number): words[ours] for ours, number in reversed(numbers.items())}
+    assert read_label_map([LabelSource(path, names=stated)]).volume.values.any()
+
+
 def test_ignored_numbers_are_outside(truth, tmp_path):
     path = nifti(tmp_path / "a.nii", renumbered(truth, NUMBERS))
     found = read_label_map([LabelSource(path, names={**TABLE, "9": "ignore"})])
@@ -213,6 +241,46 @@ def test_a_file_of_names_beside_a_nifti_of_labels_is_used(truth, tmp_path):
     ]
     (tmp_path / "names.txt").write_text("\n".join(rows))
     same(read_label_file(path), truth)
+
+
+TABLES = {
+    "snap.txt": '# ITK-SnAP\n 0 0 0 0 0 0 0 "Clear"\n 7101 255 0 0 1 1 1 "Flesh"\n 8151 0 9 0 1 1 1 "Tibia"\n'
+    ' 9 0 9 0 1 1 1 "Marker"\n',
+    "dseg.tsv": "index\tname\tabbreviation\n7101\tFlesh\tSAT\n8151\tTibia\tT\n9\tMarker\tM\n",
+    "colours.csv": "LabelValue,Name,Color_R\n7101,Flesh,9\n8151,Tibia,9\n9,Marker,7\n",
+    "dataset.json": '{"labels": {"background": 0, "Flesh": 7101, "Tibia": 8151, "Marker": 9}}',
+    "old.json": '{"labels": {"0": "background", "7101": "Flesh", "8151": "Tibia", "9": "Marker"}}',
+}
+
+
+@pytest.mark.parametrize("table", TABLES)
+def test_numbers_are_named_by_a_file_of_the_case(truth, tmp_path, table):
+    nifti(tmp_path / "a.nii", renumbered(truth, NUMBERS), names={7101: "Bone", 8151: "Flesh"})
+    (tmp_path / table).write_text(TABLES[table])
+    files = CaseFiles(tmp_path)
+    sources, problems = read_label_sources({"file": "a.nii", "names": table, "9": "ignore"}, files)
+    assert not problems
+    found = read_label_map(sources)
+    same(found.volume, truth.with_values(np.where(truth.values == 3, 0, truth.values)))
+    assert found.bone_names == ("tibia",)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "what"),
+    [
+        ("a.json", b'{"labels": [1, 2]}', "names no number"),
+        ("a.json", b"{", "names no number .*JSON|Expecting"),
+        ("a.txt", b"\x1f\x8b7 \xff", "names no number .*codec"),
+        ("b.txt", None, "not found"),
+    ],
+)
+def test_a_file_that_names_nothing_is_a_problem_of_the_case(tmp_path, name, content, what):
+    (tmp_path / "a.nii").touch()
+    if content is not None:
+        (tmp_path / name).write_bytes(content)
+    _, problems = read_label_sources({"file": "a.nii", "names": name}, CaseFiles(tmp_path))
+    assert len(problems) == 1
+    assert re.search(what, problems[0].what)
 
 
 def test_a_preset_that_contradicts_the_names_is_refused_unless_the_table_decides(truth, tmp_path):

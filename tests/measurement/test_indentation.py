@@ -120,15 +120,24 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
     [
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
         (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'? Then convert the values"),
+        (HEADER.replace("swe_mean_m_per_s", "swe_mean_kpa"), "m/s: sqrt(E/3) of a Young's modulus E in kPa"),
         (HEADER.replace("force_n,", ""), "its name includes the unit (N)"),
         (HEADER.replace("swe_pixels", "depth_mm"), "appears twice"),
         (HEADER.replace(",", ";"), "not separated by commas"),
+        (f"Patient 3; site p1\n\n{HEADER}", "the first line, 'Patient 3; site p1', is not a header"),
     ],
 )
 def test_wrong_header_is_named(tmp_path: Path, header: str, expected: str):
     with pytest.raises(MeasurementError) as caught:
         read_levels(write(tmp_path, header=header))
     assert expected in str(caught.value)
+
+
+def test_a_workbook_is_named(tmp_path: Path):
+    path = tmp_path / "levels.csv"
+    path.write_bytes(b"PK\x03\x04\x14\x00\xff\xfe")
+    with pytest.raises(MeasurementError, match="not UTF-8 text but an Excel workbook"):
+        read_levels(path)
 
 
 @pytest.mark.parametrize(
@@ -254,6 +263,15 @@ def test_a_level_0_that_stands_elsewhere_than_at_0_mm_is_told(
     found = [each for each in warnings if "depth_mm counts from level 0" in each]
     assert bool(found) == given
     assert not given or f"subtract {moved:.3g} mm from every depth" in found[0]
+
+
+def test_depths_of_another_origin_than_first_touch_are_refused(tmp_path: Path):
+    """Such as the reading of a guide: 20 mm at 0 N."""
+    rows = [f"{2 * k},{20 + depth}" for k, depth in enumerate((0.0, 2.1, 3.9, 5.2))]
+    _, problems = check_levels(write(tmp_path, "force_n,depth_mm", rows))
+    (error,) = [each for each in problems if each.severity == "error"]
+    assert error.what == "level 0 is at 20 mm and 0 N, but depth_mm counts from level 0"
+    assert "subtract 20 mm" in error.fix
 
 
 @pytest.mark.parametrize("depths", [(12.2, 9.0, 5.0, 0.0), (47.9, 42.9, 40.6, 39.2), (3.0, 4.0, 2.0, 1.0)])

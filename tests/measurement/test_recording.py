@@ -142,6 +142,8 @@ def test_a_labview_file_repeats_the_time_before_every_channel(tmp_path):
         ("time_s,force_n\n0,1\n,2\n1,3\n", RecordingFormat(), "the first is row 2"),
         ("time_s,force_n,force_n\n0,1,9\n1,2,9\n", RecordingFormat(), "2 columns of the record are called"),
         ("time_s,force_n\n", RecordingFormat(), "no rows"),
+        ("Time,Force\n0,1\n1,2\n", RecordingFormat(), "did you mean 'Time'"),
+        ("0,1\n1,2\n", RecordingFormat(), "begin the file with the names of its columns"),
         ("time_s;force_n\n0,0;900\n1,0;1.234\n", RecordingFormat(), "marks between thousands"),
         ('time_s,force_n\n0,1\n\n1,"2\n' + "2,3\n" * 40000, RecordingFormat(), "line 4"),
     ],
@@ -180,6 +182,8 @@ def rows(separator: str = ",", *, scale: float = 1.0, comma: bool = False) -> st
         ("time_ms,force_kn", {}, 1000.0, 1000.0),
         ("TIME / min,Load in lbs", {"force_n": "Load"}, 1 / 60, 4.4482216152605),
         ("Time,Force\n(ms),(N)", {"time_s": "Time", "force_n": "Force"}, 1000.0, 1.0),
+        ("Operator,A. B.\n\nTime,Force\n(ms),(kgf)", {}, 1000.0, 9.80665),
+        ('Time,Load\n"(ms)","(lbf)"', {"force_n": "Load"}, 1000.0, 4.4482216152605),
         ("# Time (µs),Force (N) of cell 1", {"force_n": "Force of cell 1"}, 1e6, 1.0),
     ],
 )

@@ -65,6 +65,20 @@ def test_one_file_of_all_bodies_is_split(tmp_path: Path):
     assert min(volume.values()) == pytest.approx(FIBULA.volume / 1e3, rel=1e-4)
 
 
+def test_bones_in_one_file_are_told_apart(tmp_path: Path):
+    """Also that a fragment too small for a bone leaves them as they are."""
+    write_bodies(tmp_path / "skin.stl", SKIN)
+    write_bodies(tmp_path / "bones.stl", FIBULA, TIBIA)
+    case = Case.open(case_folder(tmp_path, 'skin = "skin.stl"\nbones = ["bones.stl"]'))
+    surfaces, paths, _ = read_surfaces(case)
+    assert {name: each.volume for name, each in surfaces.items()} == pytest.approx(
+        {"skin": SKIN.volume, "bone_tibia": TIBIA.volume, "bone_fibula": FIBULA.volume}, rel=1e-4
+    )
+    assert paths["bone_fibula"] == tmp_path / "bones.stl"
+    write_bodies(tmp_path / "bones.stl", FIBULA, TIBIA, cylinder(3, 20, 24, (20, -10), around=24))
+    assert list(read_surfaces(case)[0]) == ["skin", "bone_1"]
+
+
 @pytest.mark.parametrize(
     ("imaging", "expected"),
     [

@@ -11,7 +11,7 @@ from limbcli.case import Case, Imaging
 from limbcli.errors import CaseError, MeshError
 from limbcli.errors.problems import Problem, raise_errors
 from limbcli.imaging.surface import read_surface, write_surface
-from limbcli.meshing.anatomy import IN_ONE_FRAME, SKIN, bones_outside, limb_problems
+from limbcli.meshing.anatomy import IN_ONE_FRAME, LEAST_BONE, SKIN, bones_outside, limb_problems
 from limbcli.meshing.domain import part_inside
 from limbcli.meshing.facets import divided
 from limbcli.meshing.mending import (
@@ -160,11 +160,14 @@ def read_surfaces(case: Case) -> tuple[dict[str, Triangles], dict[str, Path], li
         return _bodies(surfaces[SKIN], case.imaging.skin), paths, []
     bones = {name: surfaces[name] for name in names}
     surfaces[SKIN], left_out = without_fragments(surfaces[SKIN], case.imaging.skin, bones)
-    surfaces |= {name: _whole(surfaces[name]) for name in names}
+    bodies, files = [_whole(each) for each in bones.values()], case.imaging.bones
     if names == numbered(len(names)):  # no file name identifies its bone
-        bodies = [SKIN, *names_of_bodies(surfaces[SKIN], [surfaces[each] for each in names])]
-        surfaces = dict(zip(bodies, surfaces.values(), strict=True))
-        paths = dict(zip(bodies, paths.values(), strict=True))
+        if len(bodies) == 1:
+            bodies = _single_bones(bodies[0])
+            files = files * len(bodies)
+        names = names_of_bodies(surfaces[SKIN], bodies)
+    paths = {SKIN: case.imaging.skin, **dict(zip(names, files, strict=True))}
+    surfaces = {SKIN: surfaces[SKIN], **dict(zip(names, bodies, strict=True))}
     return surfaces, paths, left_out
 
 
@@ -212,6 +215,12 @@ def _bodies(surface: Triangles, path: Path) -> dict[str, Triangles]:
         )
     named = dict(zip(names_of_bodies(skin, bones), bones, strict=True))
     return {SKIN: skin, **named}
+
+
+def _single_bones(bones: Triangles) -> list[Triangles]:
+    """The bodies of a file of bones, if each is large enough to be one; else all as one."""
+    bodies = without_cavities(skin_and_bones(bones))
+    return bodies if all(enclosed(each) > LEAST_BONE for each in bodies) else [bones]
 
 
 def _whole(bone: Triangles) -> Triangles:
