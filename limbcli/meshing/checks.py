@@ -38,7 +38,7 @@ class SiteChecks:
         return asdict(self)
 
 
-def site_checks(domain: TissueDomain, probe: ProbeShape, margin: float) -> SiteChecks:
+def site_checks(domain: TissueDomain, probe: ProbeShape) -> SiteChecks:
     """Measure the domain along the probe's beam (-z) over its face."""
     x, y = probe.plan(2.0)
     covered = np.isfinite(probe.rise(x, y))

@@ -100,11 +100,7 @@ def mesh(
         own = replace(options, layers=layers)
         results.append(mesh_site(inputs, site, limb, own, sources, out, progress))
         if study:
-            position = site_position(site, segmented)
-            studied = study_site(
-                inputs.case, site, limb, position, own, out=out, inputs=inputs, progress=progress
-            )
-            results.append(studied)
+            results.append(study_site(inputs, site, limb, own, out=out, progress=progress))
     return results
 
 
