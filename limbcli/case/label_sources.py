@@ -6,8 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from limbcli.case.files import CaseFiles
-from limbcli.errors.problems import Problem
+from limbcli.case.reading import CaseReading
 
 
 @dataclass(frozen=True)
@@ -23,17 +22,16 @@ class LabelSource:
     names: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource, ...], list[Problem]]:
+def read_label_sources(raw: object, reading: CaseReading) -> tuple[LabelSource, ...]:
     """The label maps of a case: one or several, each a name or a table with `file`, `preset` and numbers."""
-    sources, problems = [], []
+    sources = []
     listed = [] if raw is None else raw if isinstance(raw, list) else [raw]
     for k, each in enumerate(listed):
         table = each if isinstance(each, dict) else {"file": each}
         label = "imaging.labels" if len(listed) == 1 else f"imaging.labels[{k}]"
-        path, found = files.existing(table.get("file"), label, is_folder=None)
-        problems += found
+        path = reading.existing(table.get("file"), label, is_folder=None)
         preset = table.get("preset")
         names = {key: word for key, word in table.items() if key not in ("file", "preset")}
         if path is not None and all(isinstance(word, str) for word in names.values()):
             sources.append(LabelSource(path, preset if isinstance(preset, str) else None, names))
-    return tuple(sources), problems
+    return tuple(sources)
