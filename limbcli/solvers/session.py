@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -132,8 +132,7 @@ class ReferenceSession:
         self,
         model2: LimbModel | None = None,
         *,
-        wrt: Sequence[Parameter] = (),
-        weights: Mapping[Parameter, Array] | None = None,
+        wrt: Sequence[Parameter] | Mapping[Parameter, Array | None] = (),
         records: bool = False,
         field_gradients: bool | Collection[str] = False,
         stop: StopWhen = StopWhen(),
@@ -146,9 +145,9 @@ class ReferenceSession:
         ----------
         model2 : variant in materials, load curves, steps and records; None: the session's current model
         wrt : (material, parameter) pairs to differentiate by, such as ("tissue", "c1"); ("tissue", "m1-m2")
-            increases m1 and decreases m2 together
-        weights : for element maps in `wrt`, the change of each cell's value (n_cells,) per unit of theta; for
-            a prestrain's "F0", that of its nine numbers. The derivative is with respect to theta
+            increases m1 and decreases m2 together. By pair, for an element map: the change of each cell's
+            value (n_cells,) per unit of theta; for a prestrain's "F0", that of its nine numbers. The
+            derivative is with respect to theta
         records : also fill the node and element tables that the model requests
         field_gradients : fill these tables and differentiate their fields by `wrt`; True for all, or the
             record files to differentiate
@@ -163,6 +162,7 @@ class ReferenceSession:
             If a level is not reached, or `model2` uses an unsupported feature; the session remains usable.
             `BudgetSpent` if its budget is spent before the required levels are reached.
         """
+        from limbcli.fem.analysis import RunEnd
         from limbcli.fem.elements.groups import differs_from_pointwise
         from limbcli.fem.supported import check_supported, refuse_limp
         from limbcli.fem.warm_start import Solved, WarmStart
@@ -172,13 +172,16 @@ class ReferenceSession:
         if model is not self.model:
             check_supported(model)
             refuse_limp(model)
+        moved = (
+            {key: each for key, each in wrt.items() if each is not None} if isinstance(wrt, Mapping) else {}
+        )
+        wrt = list(wrt)
         check_materials(wrt, model)
         if wrt and (path_dependent(model) or differs_from_pointwise(model)):
             return self._differenced(
-                model, wrt, weights or {}, field_gradients, records=records, stop=stop, start=start,
+                model, wrt, moved, field_gradients, stop, records=records, start=start,
                 keep_levels=keep_levels,
             )  # fmt: skip
-        moved = dict(weights or {})
         self._analysis.model = model
         values = parameter_values(model, wrt, moved)
         self._warm = self._warm or WarmStart()
@@ -191,11 +194,11 @@ class ReferenceSession:
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = StateObserver(requested, parameters, self.body, of_fields=field_gradients)
         enough = stop.enough_force
-        snapshots = self._analysis.run(
-            watch, guesses=partial(self._guess, warm), required=stop.required, full_effort=stop.full_effort,
-            last=stop.last, patient=stop.patient,
-            ends=None if enough is None else lambda: watch.force() >= enough, limit=stop.budget,
+        end = RunEnd(
+            required=stop.required, full_effort=stop.full_effort, last=stop.last, patient=stop.patient,
+            reached=None if enough is None else lambda: watch.force() >= enough, limit=stop.budget,
         )  # fmt: skip
+        snapshots = self._analysis.run(watch, guesses=partial(self._guess, warm), end=end)
         self.model = model
         levels = Solved(
             values,
@@ -278,20 +281,18 @@ class ReferenceSession:
         wrt: Sequence[Parameter],
         weights: Mapping[Parameter, Array],
         fields: bool | Collection[str],
-        *,
-        records: bool,
         stop: StopWhen,
-        start: StartFrom,
-        keep_levels: bool,
+        **options: Any,
     ) -> SessionResult:
         """A solve with gradients by central differences with a relative parameter step of 1e-3.
 
         The result is limited to the levels that all of the solves reached.
+
+        options : of the solve of the model itself
         """
-        found = self.solve(
-            model, records=records or bool(fields), stop=stop, start=start, keep_levels=keep_levels
-        )
-        beside = replace(start, levels=found.levels)
+        options["records"] = options["records"] or bool(fields)
+        found = self.solve(model, stop=stop, **options)
+        beside = replace(options["start"], levels=found.levels)
         n = len(found.must_points.times)
         ends: dict[Parameter, tuple[SessionResult, SessionResult, float]] = {}
         try:
