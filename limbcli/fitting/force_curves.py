@@ -272,10 +272,10 @@ class FileCurve:
 
     def __init__(
         self, solver: Solver, model: LimbModel, *, c: float | ElementMap, time_limit_s: float | None = None,
-        cores: int | None = None, progress: Progress = SILENT,
+        cores: int | None = None,
     ):  # fmt: skip
         self._solver, self._model, self._c = solver, model, c
-        self._limit, self._progress = time_limit_s, progress
+        self._limit = time_limit_s
         self._cores = available_cores() if cores is None else cores
         self._times = level_times(model)
         self.depths: Array = np.zeros(0)
@@ -299,7 +299,7 @@ class FileCurve:
         with scratch_folder() as folder:
             model = with_tissue(self._model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
             feb = self._solver.write(model, folder)
-            self._solver.run(feb, progress=self._progress, time_limit_s=self._limit)
+            self._solver.run(feb, progress=SILENT, time_limit_s=self._limit)
             simulation = self._solver.read(feb)
         self.depths = at_levels(simulation, simulation.probe_depth(), self._times)
         return at_levels(simulation, simulation.probe_force(), self._times)

@@ -23,6 +23,7 @@ from limbcli.numbers.compiled import njit
 FREE, FIXED = 0, -1
 _DIRECTIONS = 14
 _ON = 0.02  # mm: a boundary node this close to its surface counts as lying on it
+_ROUNDS = 3  # of projections onto the surfaces of a point, one after the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +49,11 @@ class NodeConstraints:
         return NodeConstraints(codes)
 
 
-def put_back(points: Array, constraints: NodeConstraints, domain: TissueDomain, *, rounds: int = 3) -> Array:
+def put_back(points: Array, constraints: NodeConstraints, domain: TissueDomain) -> Array:
     """Project boundary points onto the surfaces they belong to."""
     x = np.array(points, float)
     arrays = _arrays(domain)
-    _put_all_back(x, constraints.codes, *arrays, rounds)  # type: ignore[call-arg]
+    _put_all_back(x, constraints.codes, *arrays, _ROUNDS)  # type: ignore[call-arg]
     return x
 
 

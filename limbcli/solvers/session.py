@@ -93,7 +93,6 @@ class ReferenceSession:
     model : mesh (points (n_points, 3) in mm), laws (MPa), contact and load
     progress : receives "newton" events; `Progress(f)` calls f(kind, facts)
     threads : number of threads of the solver
-    linear : "auto", or the name of a direct solver
     tolerance : relative residual (over the norm of the acting forces) at which a level has converged
     stalled : relative residual accepted where the iteration stagnates; 0: the tolerance, or with friction
         a hundred times the tolerance
@@ -114,16 +113,13 @@ class ReferenceSession:
         *,
         progress: Progress = SILENT,
         threads: int = 2,
-        linear: str = "auto",
         tolerance: float = 1e-6,
         stalled: float = 0.0,
         body: str | None = None,
     ):
         self.model = model
         self.progress = progress
-        self._analysis = prepare(
-            model, progress, threads=threads, linear=linear, tolerance=tolerance, stalled=stalled
-        )
+        self._analysis = prepare(model, progress, threads=threads, tolerance=tolerance, stalled=stalled)
         self.body = _contact_body(model) if body is None else _named_body(model, body)
         self._warm: WarmStart | None = None
         self._other: OtherMesh | None = None

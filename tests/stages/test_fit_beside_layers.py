@@ -104,7 +104,7 @@ def test_states_are_told_apart_beside_fat() -> None:
     true_c, c0, unloaded, shape = 0.0075, 0.006, 0.95, np.array([30.0, 6.0])
     given, depths, forces = {"around": [0.9, 0.72, 1.1]}, [0.4, 1.0, 1.8, 2.8, 3.8], np.arange(0.0, 1.7, 0.4)
     model, law, plan = beside_fat(c0, f_kappa=5.0), LAWS["ogden"], plan_of(given, {}, ["a", "b", "c"])
-    ways = {"density_kg_per_m3": DENSITY, "threads": 1}
+    ways = {"density_kg_per_m3": DENSITY}
     truth = StateCurve(model, law, ("around",), depths, c=true_c, **ways)
     data = []
     for name, stretch in zip("abc", given["around"], strict=True):

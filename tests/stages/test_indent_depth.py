@@ -74,7 +74,6 @@ def test_friction_is_pressed_in_even_steps_and_resists() -> None:
     press = Press(
         meshed=block_model(),
         tissue=KnownTissue(),
-        spacing=1.0,
         tolerance=1e-3,
         progress=SILENT,
         change=hide("friction=0.5").in_model,
