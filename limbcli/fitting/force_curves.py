@@ -90,7 +90,7 @@ class ReferenceCurve:
     ):  # fmt: skip
         self._model, self._c, self._kept = model, c, kept
         # d kappa / d f_kappa for each cell: kappa = f_kappa c(x).
-        self._by_kappa = c.values if isinstance(c, ElementMap) else None
+        self._weights = {(TISSUE, "kappa"): c.values} if isinstance(c, ElementMap) else {}
         self._session = ReferenceSession(model, progress=progress)
         self._progress = progress
         self.depths: Array = np.zeros(0)
@@ -108,7 +108,7 @@ class ReferenceCurve:
         self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
         try:
             result = self._session.solve(
-                model, wrt={(TISSUE, "kappa"): self._by_kappa, (TISSUE, "m1-m2"): None}
+                model, wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")], weights=self._weights
             )
         except ArithmeticError as error:
             raise SolveError(
@@ -128,8 +128,8 @@ class ReferenceCurve:
         model = with_tissue(self._model, c=self._c, f_kappa=float(theta[0]), m=float(theta[1]))
         numbers = model.materials[TISSUE].parameters
         rates = {(TISSUE, name): each for name, each in numbers.items() if name in ("c1", "c2", "kappa")}
-        by = {key: each.values if isinstance(each, ElementMap) else None for key, each in rates.items()}
-        result = self._session.solve(model, wrt=by)
+        weights = {key: each.values for key, each in rates.items() if isinstance(each, ElementMap)}
+        result = self._session.solve(model, wrt=list(rates), weights=weights)
         by_c = sum(
             result.force_gradient[key] * (each if isinstance(each, float) else 1.0)
             for key, each in rates.items()

@@ -95,7 +95,7 @@ class StateCurve:
         model = self.in_state(self._model, theta, c=self.c)
         try:
             result = self._session.solve(
-                self._eased(model), wrt={**dict.fromkeys((TISSUE, name) for name in searched), **pulled},
+                self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
                 records=True, field_gradients=(_NODES,),
             )  # fmt: skip
         except ArithmeticError as error:

@@ -93,6 +93,7 @@ class ReferenceSession:
     model : mesh (points (n_points, 3) in mm), laws (MPa), contact and load
     progress : receives "newton" events; `Progress(f)` calls f(kind, facts)
     threads : number of threads of the solver
+    linear : "auto", or the name of a direct solver
     tolerance : relative residual (over the norm of the acting forces) at which a level has converged
     stalled : relative residual accepted where the iteration stagnates; 0: the tolerance, or with friction
         a hundred times the tolerance
@@ -113,13 +114,16 @@ class ReferenceSession:
         *,
         progress: Progress = SILENT,
         threads: int = 2,
+        linear: str = "auto",
         tolerance: float = 1e-6,
         stalled: float = 0.0,
         body: str | None = None,
     ):
         self.model = model
         self.progress = progress
-        self._analysis = prepare(model, progress, threads=threads, tolerance=tolerance, stalled=stalled)
+        self._analysis = prepare(
+            model, progress, threads=threads, linear=linear, tolerance=tolerance, stalled=stalled
+        )
         self.body = _contact_body(model) if body is None else _named_body(model, body)
         self._warm: WarmStart | None = None
         self._other: OtherMesh | None = None
@@ -128,7 +132,8 @@ class ReferenceSession:
         self,
         model2: LimbModel | None = None,
         *,
-        wrt: Sequence[Parameter] | Mapping[Parameter, Array | None] = (),
+        wrt: Sequence[Parameter] = (),
+        weights: Mapping[Parameter, Array] | None = None,
         records: bool = False,
         field_gradients: bool | Collection[str] = False,
         stop: StopWhen = StopWhen(),
@@ -141,9 +146,9 @@ class ReferenceSession:
         ----------
         model2 : variant in materials, load curves, steps and records; None: the session's current model
         wrt : (material, parameter) pairs to differentiate by, such as ("tissue", "c1"); ("tissue", "m1-m2")
-            increases m1 and decreases m2 together. By pair, for an element map: the change of each cell's
-            value (n_cells,) per unit of theta; for a prestrain's "F0", that of its nine numbers. The
-            derivative is with respect to theta
+            increases m1 and decreases m2 together
+        weights : for element maps in `wrt`, the change of each cell's value (n_cells,) per unit of theta; for
+            a prestrain's "F0", that of its nine numbers. The derivative is with respect to theta
         records : also fill the node and element tables that the model requests
         field_gradients : fill these tables and differentiate their fields by `wrt`; True for all, or the
             record files to differentiate
@@ -168,10 +173,7 @@ class ReferenceSession:
         if model is not self.model:
             check_supported(model)
             refuse_limp(model)
-        moved = (
-            {key: each for key, each in wrt.items() if each is not None} if isinstance(wrt, Mapping) else {}
-        )
-        wrt = list(wrt)
+        moved = dict(weights or {})
         check_materials(wrt, model)
         if wrt and (path_dependent(model) or differs_from_pointwise(model)):
             return self._differenced(
