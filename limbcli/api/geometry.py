@@ -170,10 +170,11 @@ def segment(
     from limbcli.stages import segment as stage
 
     with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
-        return stage.segment(
-            work.case, out=work.out, seeds=_seeds(seeds), smooth=smooth_mm, threshold=threshold, limb=limb,
-            accept_bones=accept_bones, aop=aop, fresh=fresh, progress=work.progress,
+        options = stage.SegmentOptions(
+            seeds=_seeds(seeds), smooth=smooth_mm, threshold=threshold, limb=limb, accept_bones=accept_bones,
+            aop=aop,
         )  # fmt: skip
+        return stage.segment(work.case, out=work.out, options=options, fresh=fresh, progress=work.progress)
 
 
 def _with_studies(found: Sequence[StageResult]) -> SiteResults[MeshResult]:
@@ -245,10 +246,13 @@ def mesh(
     from limbcli.stages import mesh as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
+        request = stage.MeshRequest(
+            element=element, size=size_mm, far_size=far_size_mm, margin=margin_mm, place=place,
+            skin_layer=thickness(skin_mm, "skin_mm"), fat_layer=thickness(fat_mm, "fat_mm"),
+        )  # fmt: skip
         return stage.mesh(
-            work.case, out=work.out, sites=names_of(sites), element=element, size=size_mm,
-            far_size=far_size_mm, margin=margin_mm, skin_layer=thickness(skin_mm, "skin_mm"),
-            fat_layer=thickness(fat_mm, "fat_mm"), place=place, study=study, progress=work.progress,
+            work.case, out=work.out, sites=names_of(sites), options=request, study=study,
+            progress=work.progress,
         )  # fmt: skip
 
 

@@ -15,7 +15,6 @@ from limbcli.results import StageResult
 
 if TYPE_CHECKING:
     from limbcli.case import Case
-    from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 
 SIMULATED_C = Option("c = 2 mu of the known tissue.", (0.1, 200.0))
 SIMULATED_F = Option("kappa' / c of the known tissue.", (0.01, 1000.0))
@@ -151,17 +150,19 @@ def synth(
     from limbcli.case.parts import Stretch
     from limbcli.stages import synth as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
     from limbcli.stages.simulated_subjects.known_stretches import known_stretches
+    from limbcli.stages.simulated_subjects.synth_options import LoadingProtocol, SynthOptions
 
     hidden = tuple(hide(each) for each in names_of(effects or None, "effects") or ())
     stretches = known_stretches(
         stretch_along or {}, stretch_around or {}, Stretch(unloaded_stretch_along, unloaded_stretch_around)
     )
-    plan = _plan(
-        seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
-        max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
-        far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
-        contact_penalty=contact_penalty, layers=with_layers, stretches=stretches,
+    plan = SynthOptions(
+        tissue=KnownTissue(c_kpa, f_kappa, m), protocol=LoadingProtocol(step_n, max_force_n, max_strain),
+        seed=seed, noise=noise, element=element, size=size_mm, far_size=far_size_mm, margin=margin_mm,
+        same_mesh=same_mesh, hidden=hidden, contact_penalty=contact_penalty, layers=with_layers,
+        stretches=stretches,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress) as work:
         return stage.synth(
@@ -223,12 +224,14 @@ def make_phantom(
     """
     from limbcli.stages import phantom as stage
     from limbcli.stages.simulated_subjects.hidden_effects import hide
+    from limbcli.stages.simulated_subjects.indent import KnownTissue
+    from limbcli.stages.simulated_subjects.synth_options import LoadingProtocol, SynthOptions
 
     hidden = tuple(hide(each) for each in names_of(effects or None, "effects") or ())
-    plan = _plan(
-        seed=seed, c_kpa=c_kpa, f_kappa=f_kappa, m=m, noise=noise, step_n=step_n,
-        max_force_n=max_force_n, max_strain=max_strain, element=element, size_mm=size_mm,
-        far_size_mm=far_size_mm, margin_mm=margin_mm, same_mesh=same_mesh, hidden=hidden,
+    plan = SynthOptions(
+        tissue=KnownTissue(c_kpa, f_kappa, m), protocol=LoadingProtocol(step_n, max_force_n, max_strain),
+        seed=seed, noise=noise, element=element, size=size_mm, far_size=far_size_mm, margin=margin_mm,
+        same_mesh=same_mesh, hidden=hidden,
     )  # fmt: skip
     if no_measurement:
         stage.refuse_unheard(plan)
@@ -239,19 +242,3 @@ def make_phantom(
     with foreseen():
         target = folder_of(folder, "folder")
         return stage.phantom(target, options=options, force=force, progress=listening(progress))
-
-
-def _plan(
-    *, seed: int, c_kpa: float, f_kappa: float, m: float, noise: float, step_n: float,
-    max_force_n: float, max_strain: float, element: str | None, size_mm: float, far_size_mm: float,
-    margin_mm: float | None, same_mesh: bool, **others: Any,
-) -> SynthOptions:  # fmt: skip
-    """Options of the simulation."""
-    from limbcli.stages.simulated_subjects.indent import KnownTissue
-    from limbcli.stages.simulated_subjects.synth_options import LoadingProtocol, SynthOptions
-
-    return SynthOptions(
-        tissue=KnownTissue(c_kpa=c_kpa, f_kappa=f_kappa, m=m), seed=seed, noise=noise, element=element,
-        size=size_mm, far_size=far_size_mm, margin=margin_mm, same_mesh=same_mesh,
-        protocol=LoadingProtocol(step=step_n, max_force=max_force_n, max_strain=max_strain), **others,
-    )  # fmt: skip

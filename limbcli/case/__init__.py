@@ -16,12 +16,12 @@ from pathlib import Path
 from typing import Any, Literal
 
 from limbcli.case import schema as schema
-from limbcli.case.files import CaseFiles
-from limbcli.case.imaging import place_of, read_imaging
+from limbcli.case.imaging import check_place, read_imaging
 from limbcli.case.instruments import read_instruments, read_layers
 from limbcli.case.parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
+from limbcli.case.reading import CaseReading
 from limbcli.case.socket import read_socket
-from limbcli.case.stated_fibres import fibre_problems, read_fibres
+from limbcli.case.stated_fibres import check_fibres, read_fibres
 from limbcli.case.states import read_states, site_schema
 from limbcli.case.toml_file import read_toml
 from limbcli.config import at_home
@@ -130,43 +130,46 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
     raw, problems = _read_toml(folder)
     if raw is None:
         return None, problems
-    file = str(folder / CASE_FILE)
-    problems += schema.check_table(raw, schema.TOP, name="case.toml", file=file)[1]
-    problems += _without_format(raw, file)
+    reading = CaseReading.of(raw, folder)
+    reading.table(raw, schema.TOP, "case.toml")
+    _check_format(raw, reading)
     tables = {
         "subject": schema.SUBJECT, "imaging": schema.IMAGING, "probe": schema.PROBE, "model": schema.MODEL,
         "files": schema.FILES,
     }  # fmt: skip
-    parts, found = _read_tables(raw, tables, file)
-    problems += found
-    files = CaseFiles.of(raw, folder)
-    imaging, found = read_imaging(
-        parts["imaging"], files, present="imaging" in raw, limb=parts["subject"].get("limb")
-    )
-    sites, of_sites = _read_sites(raw.get("site"), files, imaging)
-    problems += of_sites + found + read_socket(raw, files)[1]
-    if errors_of(problems):
-        return None, problems
-    return _assemble(folder, raw, parts, imaging, sites), problems
+    parts = _read_tables(raw, tables, reading)
+    imaging = _read_imaging(raw, parts, reading)
+    sites = _read_sites(raw.get("site"), reading, imaging)
+    read_socket(raw, reading)
+    found = reading.problems
+    return None if errors_of(found) else _assemble(folder, raw, parts, imaging, sites), found
 
 
-def _without_format(raw: Mapping[str, Any], file: str) -> list[Problem]:
-    fix = "add `format = 1` as its first line"
-    return [] if "format" in raw else [Problem("case.toml is missing 'format'", file, fix)]
+def _check_format(raw: Mapping[str, Any], reading: CaseReading) -> None:
+    if "format" not in raw:
+        reading.wrong("case.toml is missing 'format'", "add `format = 1` as its first line")
 
 
 def _read_tables(
-    raw: Mapping[str, Any], tables: Mapping[str, Mapping[str, schema.Key]], file: str
-) -> tuple[dict[str, dict[str, Any]], list[Problem]]:
-    """Values by table, and every problem, including missing tables that are required."""
+    raw: Mapping[str, Any], tables: Mapping[str, Mapping[str, schema.Key]], reading: CaseReading
+) -> dict[str, dict[str, Any]]:
+    """Values by table; a missing table that is required is a problem."""
     parts: dict[str, dict[str, Any]] = {}
-    problems: list[Problem] = []
     for name, keys in tables.items():
-        if name not in raw and name not in ("model", "files"):
-            problems.append(Problem(f"case.toml has no table [{name}]", file, f"add [{name}]"))
-        parts[name], found = schema.check_table(raw.get(name, {}), keys, name=name, file=file)
-        problems += found if name in raw else []
-    return parts, problems
+        if name in raw:
+            parts[name] = reading.table(raw[name], keys, name)
+            continue
+        if name not in ("model", "files"):
+            reading.wrong(f"case.toml has no table [{name}]", f"add [{name}]")
+        parts[name] = schema.check_table({}, keys, name=name, file=reading.file)[0]
+    return parts
+
+
+def _read_imaging(
+    raw: Mapping[str, Any], parts: Mapping[str, Mapping[str, Any]], reading: CaseReading
+) -> Imaging:
+    limb = parts["subject"].get("limb")
+    return read_imaging(parts["imaging"], reading, present="imaging" in raw, limb=limb)
 
 
 def _assemble(
@@ -196,24 +199,19 @@ def _assemble(
 
 def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, list[Problem]]:
     """The case without faulty probe and sites; and every problem of what this reading requires."""
-    file, files = str(folder / CASE_FILE), CaseFiles.of(raw, folder)
-    stated = {key: value for key, value in raw.items() if key == "format"}
-    found = schema.check_table(stated, schema.TOP, name="case.toml", file=file)[1]
-    found += _without_format(raw, file)
-    tables, wrong = _read_tables(raw, {"subject": schema.SUBJECT, "imaging": schema.IMAGING}, file)
-    imaging, missing = read_imaging(
-        tables["imaging"], files, present="imaging" in raw, limb=tables["subject"].get("limb")
-    )
-    found += [*wrong, *missing]
-    if errors_of(found):
-        return None, found
-    subject = tables["subject"]
-    sizes, probe_wrong = schema.check_table(raw.get("probe", {}), schema.PROBE, name="probe", file=file)
-    if probe_wrong:
+    reading = CaseReading.of(raw, folder)
+    reading.table({key: value for key, value in raw.items() if key == "format"}, schema.TOP, "case.toml")
+    _check_format(raw, reading)
+    parts = _read_tables(raw, {"subject": schema.SUBJECT, "imaging": schema.IMAGING}, reading)
+    imaging = _read_imaging(raw, parts, reading)
+    if errors_of(reading.problems):
+        return None, reading.problems
+    others = CaseReading.of(raw, folder)  # its problems are not of this reading
+    sizes = others.table(raw.get("probe", {}), schema.PROBE, "probe")
+    if others.problems:
         sizes = {"name": "", "length_mm": nan, "width_mm": nan, "edge_radius_mm": nan}
-    model, _ = schema.check_table(raw.get("model", {}), schema.MODEL, name="model", file=file)
-    parts = {"subject": subject, "probe": sizes, "model": model}
-    return _assemble(folder, raw, parts, imaging, _read_sites(raw.get("site"), files, imaging)[0]), []
+    parts |= {"probe": sizes, "model": others.table(raw.get("model", {}), schema.MODEL, "model")}
+    return _assemble(folder, raw, parts, imaging, _read_sites(raw.get("site"), others, imaging)), []
 
 
 def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
@@ -235,64 +233,54 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
         return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "correct that line")]
 
 
-def _read_sites(tables: object, files: CaseFiles, imaging: Imaging) -> tuple[list[Site], list[Problem]]:
-    file = str(files.folder / CASE_FILE)
+def _read_sites(tables: object, reading: CaseReading, imaging: Imaging) -> list[Site]:
     if not isinstance(tables, list) or not tables:
-        return [], [Problem("case.toml has no site", file, "add a [[site]] (see the case format)")]
+        reading.wrong("case.toml has no site", "add a [[site]] (see the case format)")
+        return []
     sites: list[Site] = []
-    problems: list[Problem] = []
     names: dict[str, str] = {}
     for k, table in enumerate(tables, 1):
-        site, found = _read_site(table, files, imaging, label=f"site {k}")
-        problems += found
+        site = _read_site(table, reading, imaging, label=f"site {k}")
         if site is None:
             continue
         first = names.setdefault(schema.folder_key(site.name), site.name)
         if first == site.name and any(each.name == first for each in sites):
-            problems.append(Problem(f"two sites are named {site.name!r}", file, "give each its own name"))
+            reading.wrong(f"two sites are named {site.name!r}", "give each its own name")
         elif first != site.name:
             what = f"the sites {first!r} and {site.name!r} share a folder where names ignore case"
-            problems.append(Problem(what, file, "give each a name that differs by more than capitals"))
+            reading.wrong(what, "give each a name that differs by more than capitals")
         sites.append(site)
-    return sites, problems + fibre_problems(sites, imaging, file)
+    check_fibres(sites, imaging, reading)
+    return sites
 
 
-def _read_site(
-    table: object, files: CaseFiles, imaging: Imaging, *, label: str
-) -> tuple[Site | None, list[Problem]]:
-    file = str(files.folder / CASE_FILE)
-    values, problems = schema.check_table(table, site_schema(table), name=label, file=file)
+def _read_site(table: object, reading: CaseReading, imaging: Imaging, *, label: str) -> Site | None:
+    own = reading.part()
+    values = own.table(table, site_schema(table), label)
     if not values:
-        return None, problems
+        return None
     label = f"site {values['name']}" if values.get("name") else label
     given = [key for key in ("position_mm", "marker") if isinstance(table, dict) and key in table]
-    problems += place_of(values, given, imaging, label, file)
+    check_place(values, given, imaging, label, own)
     if imaging.shape is not None and not given:
         values["position_mm"] = imaging.shape.place
-    states, unloaded, found = read_states(values, files, label)
-    problems += found
-    raw_noise = values.get("noise")
-    noise, found = schema.check_table(raw_noise or {}, schema.NOISE, name=f"{label} noise", file=file)
-    problems += found
-    instruments, found = read_instruments(values, files, label)
-    problems += found
-    layers, found = read_layers(values["layers"], label, file)
-    problems += found
-    fibres, found = read_fibres(values, label, file)
-    problems += found
+    states, unloaded = read_states(values, own, label)
+    noise = own.table(values.get("noise") or {}, schema.NOISE, f"{label} noise")
+    instruments = read_instruments(values, own, label)
+    layers = read_layers(values["layers"], label, own)
+    fibres = read_fibres(values, label, own)
     paths: dict[str, Path | None] = {}
     for key, is_folder in (("levels", False), ("trace", False), ("swe_maps", True)):
         made = {"levels": bool(instruments), "swe_maps": "swe_images" in instruments}.get(key, False)
         if made and isinstance(values.get(key), str):
-            paths[key], found = files.placed(values[key], f"{label}: {key}")
+            paths[key] = own.placed(values[key], f"{label}: {key}")
         else:
-            paths[key], found = files.existing(values.get(key), f"{label}: {key}", is_folder=is_folder)
-        problems += found
+            paths[key] = own.existing(values.get(key), f"{label}: {key}", is_folder=is_folder)
     levels = states[0].levels if states else paths["levels"]
-    if problems or levels is None:
-        return None, problems
+    if own.problems or levels is None:
+        return None
     site = _make_site(values, noise, paths, levels, instruments, layers, fibres)
-    return replace(site, states=states, unloaded=unloaded), problems
+    return replace(site, states=states, unloaded=unloaded)
 
 
 def _make_site(

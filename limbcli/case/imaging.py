@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import nan, pi
-from pathlib import Path
 from typing import Any
 
 from limbcli.case import schema as schema
-from limbcli.case.files import CaseFiles
 from limbcli.case.label_sources import read_label_sources
 from limbcli.case.parts import SKIN_SCALE, Imaging, Shape
+from limbcli.case.reading import CaseReading
 from limbcli.case.schema import BONE_RADIUS_MM, Key, number
-from limbcli.errors.problems import Problem
 from limbcli.numbers.units import LENGTH_UNITS_IN_MM
 
 SHAPE = {
@@ -28,44 +26,41 @@ _WAYS = ("mri", "labels", "skin", "bodies", "shape")
 
 
 def read_imaging(
-    table: Mapping[str, Any], files: CaseFiles, *, present: bool, limb: str | None = None
-) -> tuple[Imaging, list[Problem]]:
-    """The sources of the geometry, and their problems.
+    table: Mapping[str, Any], reading: CaseReading, *, present: bool, limb: str | None = None
+) -> Imaging:
+    """The sources of the geometry.
 
     present : whether case.toml has the table at all; limb : the subject's
     """
-    file = str(files.folder / "case.toml")
-    problems = _contradictions(table, file)
+    _contradictions(table, reading)
     if present and not any(table.get(key) for key in _WAYS):
         fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, `bodies`, or `shape`'
-        problems.append(Problem("[imaging] specifies no geometry", file, fix))
-    paths: dict[str, Path | None] = {}
-    for key, is_folder in (("mri", None), ("skin", False), ("bodies", False), ("fibres", False)):
-        paths[key], found = files.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
-        problems += found
-    labels, found = read_label_sources(table.get("labels"), files)
-    problems += found
+        reading.wrong("[imaging] specifies no geometry", fix)
+    kinds = {"mri": None, "skin": False, "bodies": False, "fibres": False}
+    paths = {
+        key: reading.existing(table.get(key), f"imaging.{key}", is_folder=is_folder)
+        for key, is_folder in kinds.items()
+    }
+    labels = read_label_sources(table.get("labels"), reading)
     mri = paths["mri"]
     if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
         what = f"imaging.mri: {mri.name!r} is neither a folder nor a volume in a supported format"
         fix = (
             f"give a folder with one DICOM series, or a file that ends in {', '.join(schema.VOLUME_ENDINGS)}"
         )
-        problems.append(Problem(what, file, fix))
-    bones = []
-    for k, name in enumerate(table.get("bones") or []):
-        bone, found = files.existing(name, f"imaging.bones[{k}]", is_folder=False)
-        problems += found
-        if bone:
-            bones.append(bone)
-    shape, found = (None, []) if table.get("shape") is None else read_shape(table["shape"], file)
+        reading.wrong(what, fix)
+    bones = [
+        reading.existing(name, f"imaging.bones[{k}]", is_folder=False)
+        for k, name in enumerate(table.get("bones") or [])
+    ]
+    shape = None  # a faulty one still needs no position of its sites
+    if table.get("shape") is not None:
+        shape = read_shape(table["shape"], reading) or _FAULTY
     radius = float(table.get("bone_radius_mm") or BONE_RADIUS_MM) if table.get("bone") else None
-    if found:
-        shape = _FAULTY  # so that its sites still need no position
     fibres, frame = paths["fibres"], table.get("fibre_frame")
     if fibres is not None and not fibres.name.lower().endswith((".nii", ".nii.gz")):
         what = f"imaging.fibres: {fibres.name!r} is not a NIfTI file"
-        problems.append(Problem(what, file, "save the principal directions as .nii or .nii.gz"))
+        reading.wrong(what, "save the principal directions as .nii or .nii.gz")
     stated = table.get("skin_scale_fraction")
     scale = SKIN_SCALE if stated is None else float(stated)
     unit, mm_per_unit = table.get("unit") or "", table.get("scale")
@@ -73,61 +68,58 @@ def read_imaging(
         mm_per_unit = LENGTH_UNITS_IN_MM[unit]
     mirrored = table.get("limb") is not None and limb is not None and table["limb"] != limb
     length = None if mm_per_unit is None else float(mm_per_unit)
-    imaging = Imaging(
-        mri=mri, labels=labels, skin=paths["skin"] or paths["bodies"], bones=tuple(bones), bone_radius=radius,
-        shape=shape, fibres=fibres, fibre_frame=frame, skin_scale=scale, mm_per_unit=length, unit=unit,
-        mirrored=mirrored,
+    return Imaging(
+        mri=mri, labels=labels, skin=paths["skin"] or paths["bodies"],
+        bones=tuple(each for each in bones if each), bone_radius=radius, shape=shape, fibres=fibres,
+        fibre_frame=frame, skin_scale=scale, mm_per_unit=length, unit=unit, mirrored=mirrored,
     )  # fmt: skip
-    return imaging, problems + found
 
 
-def _contradictions(table: Mapping[str, Any], file: str) -> list[Problem]:
-    found = []
+def _contradictions(table: Mapping[str, Any], reading: CaseReading) -> None:
     if table.get("bones") and not table.get("skin"):
-        found.append(Problem("[imaging] has bones but no skin", file, 'add `skin = "file"`'))
+        reading.wrong("[imaging] has bones but no skin", 'add `skin = "file"`')
     if table.get("mri") and table.get("skin"):
-        found.append(Problem("[imaging] has both `mri` and `skin`", file, "keep one of the two"))
+        reading.wrong("[imaging] has both `mri` and `skin`", "keep one of the two")
     if table.get("bone") and not table.get("skin"):
         fix = 'add `skin = "scan.stl"`, or give the whole limb in numbers: `shape = { ... }`'
-        found.append(Problem("[imaging] has a bone from ultrasound but no skin", file, fix))
+        reading.wrong("[imaging] has a bone from ultrasound but no skin", fix)
     if table.get("bone_radius_mm") and not table.get("bone"):
         fix = (
             'add `bone = "from-ultrasound"`, or remove it; for a limb given in numbers, it belongs in `shape`'
         )
-        found.append(Problem("[imaging] has bone_radius_mm but no `bone` it refers to", file, fix))
+        reading.wrong("[imaging] has bone_radius_mm but no `bone` it refers to", fix)
     if table.get("skin_scale_fraction") is not None and not table.get("bone"):
         what = "[imaging] has skin_scale_fraction, which applies only with a bone from ultrasound"
         fix = 'add `bone = "from-ultrasound"`, or remove it'
-        found.append(Problem(what, file, fix))
+        reading.wrong(what, fix)
     if table.get("bone") and table.get("bones"):
         what = "[imaging] has both `bones` and a bone from ultrasound"
-        found.append(Problem(what, file, "keep `bones` where they were imaged, else `bone`"))
+        reading.wrong(what, "keep `bones` where they were imaged, else `bone`")
     if table.get("unit") and table.get("scale") is not None:
-        found.append(Problem("[imaging] has both `unit` and `scale`", file, "keep one of the two"))
+        reading.wrong("[imaging] has both `unit` and `scale`", "keep one of the two")
     for key in ("unit", "scale", "limb"):
         if table.get(key) is not None and not (table.get("skin") or table.get("bodies")):
             what = f"[imaging] has `{key}`, which applies to surfaces only"
-            found.append(
-                Problem(what, file, "remove it, or give the surfaces: `skin` and `bones`, or `bodies`")
-            )
+            reading.wrong(what, "remove it, or give the surfaces: `skin` and `bones`, or `bodies`")
     rivals = [key for key in ("mri", "labels", "skin", "bones", "bone") if table.get(key)]
     if table.get("bodies") and rivals:
         what = f"[imaging] has both `bodies` and `{rivals[0]}`"
-        found.append(Problem(what, file, "keep `bodies` where one file holds the skin and all bones"))
+        reading.wrong(what, "keep `bodies` where one file holds the skin and all bones")
     others = [key for key in ("mri", "labels", "skin", "bodies", "bones", "bone") if table.get(key)]
     if table.get("shape") is not None and others:
         what = f"[imaging] has both `shape` and `{others[0]}`"
-        found.append(Problem(what, file, "keep what was imaged; `shape` is only for a limb given in numbers"))
-    return found
+        reading.wrong(what, "keep what was imaged; `shape` is only for a limb given in numbers")
 
 
-def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
+def read_shape(raw: object, reading: CaseReading) -> Shape | None:
     """A limb given by numbers; None, with problems, if no limb can have them.
 
+    >>> from pathlib import Path
     >>> whole = {"circumference_mm": 300, "skin_mm": 1.5, "fat_mm": 6, "muscle_mm": 20}
-    >>> read_shape(whole, "case.toml")[0].bone_radius
-    14.0
-    >>> print(read_shape({**whole, "circumference_mm": 120}, "case.toml")[1][0].what)
+    >>> reading = CaseReading(Path())
+    >>> read_shape(whole, reading).bone_radius, read_shape({**whole, "circumference_mm": 120}, reading)
+    (14.0, None)
+    >>> print(reading.problems[0].what)
     a limb of 120 mm circumference is 38.2 mm across: less than its layers (27.5 mm) and the bone (28 mm)
     """
     name = "imaging.shape"
@@ -135,10 +127,12 @@ def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
         given = " and ".join(key for key in ("fat_mm", "muscle_mm") if key in raw)
         what = f"[{name}] has layers without skin: {given}, but no skin_mm"
         fix = "add skin_mm (1 to 2 mm if it was not measured separately: subtract it from fat_mm)"
-        return None, [Problem(what, file, fix)]
-    values, problems = schema.check_table(raw, SHAPE, name=name, file=file)
-    if problems:
-        return None, problems
+        reading.wrong(what, fix)
+        return None
+    own = reading.part()
+    values = own.table(raw, SHAPE, name)
+    if own.problems:
+        return None
     shape = Shape(*(float(values[key]) for key in SHAPE))
     across, needed = shape.circumference / pi, shape.skin_bone + 2 * shape.bone_radius
     if needed + _LEAST_BEHIND > across:
@@ -147,27 +141,26 @@ def read_shape(raw: object, file: str) -> tuple[Shape | None, list[Problem]]:
             f"layers ({shape.skin_bone:g} mm) and the bone ({2 * shape.bone_radius:g} mm)"
         )
         fix = "circumference_mm is measured with a tape round the limb; layers, bone_radius_mm are also in mm"
-        problems.append(Problem(what, file, fix))
+        own.wrong(what, fix)
     if shape.skin_bone < _LEAST_DEPTH:
         what = f"the layers of [{name}] leave {shape.skin_bone:g} mm from skin to bone"
         fix = f"at least {_LEAST_DEPTH:g} mm can be modelled; muscle_mm extends to the bone"
-        problems.append(Problem(what, file, fix))
-    return (None if problems else shape), problems
+        own.wrong(what, fix)
+    return None if own.problems else shape
 
 
-def place_of(
-    values: Mapping[str, Any], given: list[str], imaging: Imaging, label: str, file: str
-) -> list[Problem]:
-    """Problems of how a site's position is given; a limb given by numbers needs none."""
+def check_place(
+    values: Mapping[str, Any], given: list[str], imaging: Imaging, label: str, reading: CaseReading
+) -> None:
+    """Check how a site's position is given; a limb given by numbers needs none."""
     if imaging.shape is not None and not given:
-        return []
+        return
     if imaging.assumed and "marker" in given:
         what = (
             f"{label} is given by marker {values.get('marker')}, and there are no images that could show one"
         )
         fix = "remove position_mm and marker: the site is anterior" if imaging.shape else "give position_mm"
-        return [Problem(what, file, fix)]
-    if len(given) != 1:
+        reading.wrong(what, fix)
+    elif len(given) != 1:
         what = "has neither position_mm nor marker" if not given else "has both position_mm and marker"
-        return [Problem(f"{label} {what}", file, "give exactly one of the two")]
-    return []
+        reading.wrong(f"{label} {what}", "give exactly one of the two")

@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from limbcli.case.files import CaseFiles
 from limbcli.case.label_tables import read_label_table
-from limbcli.errors.problems import Problem
+from limbcli.case.reading import CaseReading
 
 
 @dataclass(frozen=True)
@@ -26,27 +25,25 @@ class LabelSource:
     titles: Mapping[str, str] = field(default_factory=dict)
 
 
-def read_label_sources(raw: object, files: CaseFiles) -> tuple[tuple[LabelSource, ...], list[Problem]]:
+def read_label_sources(raw: object, reading: CaseReading) -> tuple[LabelSource, ...]:
     """The label maps of a case: one or several, each a name or a table.
 
     A table has `file`, and where needed `preset`, `names` (a file) and tissues by number or name.
     """
-    sources, problems = [], []
+    sources = []
     listed = [] if raw is None else raw if isinstance(raw, list) else [raw]
     for k, each in enumerate(listed):
         table = each if isinstance(each, dict) else {"file": each}
         label = "imaging.labels" if len(listed) == 1 else f"imaging.labels[{k}]"
-        path, found = files.existing(table.get("file"), label, is_folder=None)
-        problems += found
+        path = reading.existing(table.get("file"), label, is_folder=None)
         preset = table.get("preset")
         titles: dict[str, str] = {}
-        listing, found = files.existing(table.get("names"), f"{label}.names", is_folder=False)
-        problems += found
+        listing = reading.existing(table.get("names"), f"{label}.names", is_folder=False)
         if listing is not None:
             read, found = read_label_table(listing, f"{label}.names")
             titles = {str(number): name for number, name in read.items()}
-            problems += found
+            reading.found.extend(found)
         names = {key: word for key, word in table.items() if key not in ("file", "preset", "names")}
         if path is not None and all(isinstance(word, str) for word in names.values()):
             sources.append(LabelSource(path, preset if isinstance(preset, str) else None, names, titles))
-    return tuple(sources), problems
+    return tuple(sources)

@@ -9,8 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from limbcli.case import schema as schema
-from limbcli.case.files import CaseFiles
-from limbcli.errors.problems import Problem, errors_of
+from limbcli.case.reading import CaseReading
 from limbcli.numbers.units import mpa_from_kpa
 
 if TYPE_CHECKING:
@@ -94,30 +93,21 @@ class SocketInput:
     knee: KneeInput | None = None
 
 
-def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput | None, list[Problem]]:
-    """The socket of a case, None if it gives none; and every problem of its table."""
-    if "socket" not in raw:
-        return None, []
-    file = str(files.folder / "case.toml")
-    lifting = _lifting(raw["socket"], file)
-    if lifting:
-        return None, lifting
-    values, problems = schema.check_table(raw["socket"], schema.SOCKET, name="socket", file=file)
+def read_socket(raw: Mapping[str, Any], reading: CaseReading) -> SocketInput | None:
+    """The socket of a case; None if it gives none, or its table has problems."""
+    if "socket" not in raw or _lifts(raw["socket"], reading):
+        return None
+    own = reading.part()
+    values = own.table(raw["socket"], schema.SOCKET, "socket")
     if not values:
-        return None, problems
-    surface, found = files.existing(values["surface"], "socket: surface", is_folder=False)
-    problems += found
-    liner, found = _liner(values["liner"], file)
-    problems += found
-    knee, found = _knee(values["knee"], file)
-    problems += found
-    problems += _at_odds(values, file)
-    landmarks, found = _points(values["landmarks"] or {}, file)
-    problems += found
-    rectifications, found = _amounts(values["rectifications_mm"] or {}, file)
-    problems += found
-    if errors_of(problems):
-        return None, problems
+        return None
+    surface = own.existing(values["surface"], "socket: surface", is_folder=False)
+    liner, knee = _liner(values["liner"], own), _knee(values["knee"], own)
+    _check_agreement(values, own)
+    landmarks = _points(values["landmarks"] or {}, own)
+    rectifications = _amounts(values["rectifications_mm"] or {}, own)
+    if own.problems:
+        return None
     transition, brim, flare = (values[f"{name}_mm"] for name in ("transition", "brim", "flare"))
     return SocketInput(
         surface=surface,
@@ -136,73 +126,74 @@ def read_socket(raw: Mapping[str, Any], files: CaseFiles) -> tuple[SocketInput |
         tilt_deviation=float(values["tilt_deviation_deg"]),
         shift_deviation=float(values["shift_deviation_mm"]),
         knee=knee,
-    ), problems
+    )
 
 
 def socket_of(case: Case) -> SocketInput | None:
     """The socket of a case; None if it has none, or a faulty one."""
-    return read_socket(case.raw, CaseFiles.of(case.raw, case.folder))[0]
+    return read_socket(case.raw, CaseReading.of(case.raw, case.folder))
 
 
-def _lifting(table: object, file: str) -> list[Problem]:
-    """Loads that would lift the limb out of its socket."""
+def _lifts(table: object, reading: CaseReading) -> bool:
+    """Whether a load would lift the limb out of its socket."""
     loads = table.get("loads_n") if isinstance(table, Mapping) else None
     for load in loads if isinstance(loads, list) else ():
         if isinstance(load, int | float) and load < 0:
             what = f"socket.loads_n has {load:g} N, which lifts the limb out: nothing holds it in the socket"
-            return [Problem(what, file, "give the forces that press the limb into it, above 0 N")]
-    return []
+            reading.wrong(what, "give the forces that press the limb into it, above 0 N")
+            return True
+    return False
 
 
-def _at_odds(values: Mapping[str, Any], file: str) -> list[Problem]:
-    """Keys that contradict each other."""
-    found = []
+def _check_agreement(values: Mapping[str, Any], reading: CaseReading) -> None:
+    """Keys must not contradict each other."""
     for low, high in itertools.pairwise(values["loads_n"]):
         if high - low < _LEAST_APART_N - 1e-9:
             what = f"socket.loads_n has {high:g} N after {low:g} N"
             fix = f"give loads in ascending order, each once, at least {_LEAST_APART_N:g} N apart"
-            found.append(Problem(what, file, fix))
+            reading.wrong(what, fix)
             break
     if values["surface"] is None:
         for key in ("align", "landmarks"):
             if values[key]:
                 what = f"[socket] has {key} but no surface that it could move"
-                found.append(Problem(what, file, f'add `surface = "socket.stl"`, or remove {key}'))
-        return found
+                reading.wrong(what, f'add `surface = "socket.stl"`, or remove {key}')
+        return
     for key in _FROM_SKIN:
         if values[key] is not None:
             what = f"[socket] has a surface and {key}, which makes a socket from the skin"
-            found.append(Problem(what, file, f"remove one of the two: surface or {key}"))
+            reading.wrong(what, f"remove one of the two: surface or {key}")
     if values["align"] and values["landmarks"]:
         what = "[socket] has landmarks and align, two ways to place the socket"
-        found.append(Problem(what, file, "remove one of the two"))
-    return found
+        reading.wrong(what, "remove one of the two")
 
 
-def _liner(table: object, file: str) -> tuple[LinerInput | None, list[Problem]]:
+def _liner(table: object, reading: CaseReading) -> LinerInput | None:
     if table is None:
-        return None, []
-    values, problems = schema.check_table(table, schema.LINER, name="socket.liner", file=file)
-    if not errors_of(problems) and values["bonded"] and values["friction"] is not None:
+        return None
+    own = reading.part()
+    values = own.table(table, schema.LINER, "socket.liner")
+    if not own.problems and values["bonded"] and values["friction"] is not None:
         what = "[socket.liner] has a friction on the skin, to which the liner is bonded"
-        problems.append(Problem(what, file, "add `bonded = false`, or remove friction"))
-    if errors_of(problems):
-        return None, problems
+        own.wrong(what, "add `bonded = false`, or remove friction")
+    if own.problems:
+        return None
     return LinerInput(
         thickness=float(values["thickness_mm"]),
         youngs_modulus=mpa_from_kpa(float(values["youngs_modulus_kpa"])),
         poisson=float(values["poisson"]),
         bonded=values["bonded"],
         friction=None if values["friction"] is None else float(values["friction"]),
-    ), problems
+    )
 
 
-def _knee(table: object, file: str) -> tuple[KneeInput | None, list[Problem]]:
+def _knee(table: object, reading: CaseReading) -> KneeInput | None:
     if table is None:
-        return None, []
-    values, problems = schema.check_table(table, schema.KNEE, name="socket.knee", file=file)
-    if errors_of(problems):
-        return None, problems
+        return None
+    own = reading.part()
+    values = own.table(table, schema.KNEE, "socket.knee")
+    if own.problems:
+        return None
     centre, mm = values["centre_mm"], 1e3
     return KneeInput(
         centre=None if centre is None else (float(centre[0]), float(centre[1]), float(centre[2])),
@@ -210,29 +201,25 @@ def _knee(table: object, file: str) -> tuple[KneeInput | None, list[Problem]]:
         lateral=float(values["lateral_n"]),
         about_anterior=mm * float(values["about_anterior_n_m"]),
         about_lateral=mm * float(values["about_lateral_n_m"]),
-    ), problems
+    )
 
 
-def _points(
-    table: Mapping[str, Any], file: str
-) -> tuple[dict[str, tuple[float, float, float]], list[Problem]]:
-    points, problems = {}, []
+def _points(table: Mapping[str, Any], reading: CaseReading) -> dict[str, tuple[float, float, float]]:
+    points = {}
     for name, each in table.items():
         if wrong := schema.vector(each):
             fix = "give the landmark's place in the socket's frame, mm"
-            problems.append(Problem(f"socket.landmarks.{name} {wrong}", file, fix))
+            reading.wrong(f"socket.landmarks.{name} {wrong}", fix)
         else:
             points[name] = (float(each[0]), float(each[1]), float(each[2]))
     if table and len(table) < _FEWEST:
         what = f"[socket.landmarks] has {len(table)} of the {_FEWEST} or more points that place a socket"
-        problems.append(Problem(what, file, "add points, by the names of the limb's landmarks"))
-    return points, problems
+        reading.wrong(what, "add points, by the names of the limb's landmarks")
+    return points
 
 
-def _amounts(table: Mapping[str, Any], file: str) -> tuple[dict[str, float], list[Problem]]:
+def _amounts(table: Mapping[str, Any], reading: CaseReading) -> dict[str, float]:
     wrong = {name: text for name, each in table.items() if (text := _rectification(each))}
-    problems = [
-        Problem(f"socket.rectifications_mm.{name} {text}", file, "give mm, positive into the limb")
-        for name, text in wrong.items()
-    ]
-    return {name: float(each) for name, each in table.items() if name not in wrong}, problems
+    for name, text in wrong.items():
+        reading.wrong(f"socket.rectifications_mm.{name} {text}", "give mm, positive into the limb")
+    return {name: float(each) for name, each in table.items() if name not in wrong}

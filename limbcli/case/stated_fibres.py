@@ -7,20 +7,20 @@ from typing import Any
 
 from limbcli.case import schema as schema
 from limbcli.case.parts import Fibres, Imaging, Pennation, Site
-from limbcli.errors.problems import Problem, suggestion
+from limbcli.case.reading import CaseReading
+from limbcli.errors.problems import suggestion
 
 _NAMED = ("axial", "transverse")
 
 
-def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibres, list[Problem]]:
+def read_fibres(values: Mapping[str, Any], label: str, reading: CaseReading) -> Fibres:
     """Read a site's fibre input; values : of its table, with defaults filled in."""
     direction, tables = values["fibre_direction"], values["pennation"]
-    problems: list[Problem] = []
     found: list[Pennation] = []
     for k, table in enumerate(tables or [], 1):
-        each, wrong = schema.check_table(table, schema.PENNATION, name=f"{label} pennation {k}", file=file)
-        problems += wrong
-        if not wrong:
+        own = reading.part()
+        each = own.table(table, schema.PENNATION, f"{label} pennation {k}")
+        if not own.problems:
             found.append(
                 Pennation(each["orientation"], float(each["pennation_deg"]), float(each["deviation_deg"]))
             )
@@ -28,26 +28,25 @@ def read_fibres(values: Mapping[str, Any], label: str, file: str) -> tuple[Fibre
     for name in sorted({each for each in names if names.count(each) > 1}):
         what = f"{label} gives the pennation in the image plane of {name!r} twice"
         fix = "keep one [[site.pennation]] per orientation (their mean, where both were measured)"
-        problems.append(Problem(what, file, fix))
+        reading.wrong(what, fix)
     if len(set(names)) > 2:
         what = f"{label} gives the pennation in {len(set(names))} image planes"
-        problems.append(Problem(what, file, "two planes determine a direction; keep the two best"))
+        reading.wrong(what, "two planes determine a direction; keep the two best")
     if direction is not None and tables:
         what = f"{label} has both fibre_direction and [[site.pennation]]"
-        problems.append(Problem(what, file, "keep the one that was measured"))
+        reading.wrong(what, "keep the one that was measured")
     if direction is None:
-        return Fibres(None, tuple(found)), problems
+        return Fibres(None, tuple(found))
     x, y, z = (float(each) for each in direction)
-    return Fibres((x, y, z)), problems
+    return Fibres((x, y, z))
 
 
-def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[Problem]:
-    """Problems of the fibre input that concern several sites or tables.
+def check_fibres(sites: Sequence[Site], imaging: Imaging, reading: CaseReading) -> None:
+    """Check the fibre input across sites and tables.
 
     Unknown orientations or those of a site elsewhere, a single image across the limb, coinciding planes, and
     a `fibre_frame` without `fibres`.
     """
-    problems = []
     for site in sites:
         for each in site.fibres.pennation:
             if each.orientation in _NAMED:
@@ -57,25 +56,24 @@ def fibre_problems(sites: Sequence[Site], imaging: Imaging, file: str) -> list[P
             if named is None:
                 known = [*_NAMED, *(one.name for one in sites)]
                 fix = f"use axial, transverse or a site's name ({suggestion(each.orientation, known)})"
-                problems.append(Problem(f"{where} is not known", file, fix))
+                reading.wrong(f"{where} is not known", fix)
             elif (named.position, named.marker) != (site.position, site.marker):
                 fix = "name a site at the same place (position_mm or marker), axial or transverse"
-                problems.append(Problem(f"{where} is that of another place", file, fix))
+                reading.wrong(f"{where} is that of another place", fix)
         if [_plane(each.orientation, sites) for each in site.fibres.pennation] == ["transverse"]:
             what = (
                 f"site {site.name}: the pennation is given only in an image across the limb, which the "
                 f"fibres cross"
             )
             fix = 'add one with orientation = "axial", or give fibre_direction'
-            problems.append(Problem(what, file, fix))
+            reading.wrong(what, fix)
         planes = {_plane(each.orientation, sites) for each in site.fibres.pennation}
         if len(planes) < len(site.fibres.pennation):
             what = f"site {site.name}: the two pennation angles are in the same image plane, given twice"
-            problems.append(Problem(what, file, "keep one of them, or give the plane perpendicular to it"))
+            reading.wrong(what, "keep one of them, or give the plane perpendicular to it")
     if imaging.fibres is None and imaging.fibre_frame is not None:
         fix = 'add `fibres = "v1.nii.gz"`, or remove fibre_frame'
-        problems.append(Problem("[imaging] has fibre_frame but no `fibres` it refers to", file, fix))
-    return problems
+        reading.wrong("[imaging] has fibre_frame but no `fibres` it refers to", fix)
 
 
 def _plane(orientation: str, sites: Sequence[Site]) -> object:

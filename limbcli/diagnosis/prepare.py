@@ -19,8 +19,8 @@ from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, nearest_m, where
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.held_forces import held_forces
 from limbcli.diagnosis.data.layer_rows import BorderLines
-from limbcli.diagnosis.data.noise_parts import deepest, readings
-from limbcli.diagnosis.data.rows import ExtraMeasurement
+from limbcli.diagnosis.data.noise_parts import KnownErrors, deepest, readings
+from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings
 from limbcli.diagnosis.data.site_data import SiteData, site_data
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.drainage import NAME as POROELASTICITY
@@ -324,13 +324,18 @@ class _Preparation:
                 "skin_bone_mm is not used: in the model the beam reaches no bone under the probe's centre"
             )
             levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
-        return site_data(
-            self.site.name, levels, self.site.noise, windows=self.windows, maps=self.maps,
-            model_error=errors.all(correction, interventions), held=held, extras=extras,
-            usable=errors.parts_seen(), thickness=errors.thickness, map_share=correction.map_share,
-            map_slopes=errors.map_slopes(), layers=None if self.borders is None else self.borders.layers,
-            bone_as_shown=bool(self.case.imaging.assumed),
+        seen = SiteReadings(
+            levels, self.site.noise, windows=self.windows, maps=self.maps, held=held, extras=extras,
+            usable=errors.parts_seen(), layers=None if self.borders is None else self.borders.layers,
         )  # fmt: skip
+        known = KnownErrors(
+            errors.all(correction, interventions),
+            correction.map_share,
+            errors.map_slopes(),
+            errors.thickness,
+            bool(self.case.imaging.assumed),
+        )
+        return site_data(self.site.name, seen, known)
 
     def _drained(self, draining: DrainageSolver, data: SiteData, simulations: SiteSimulations) -> Drained:
         found = drained(

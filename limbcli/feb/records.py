@@ -34,12 +34,12 @@ class Records:
     truncated: bool
 
 
-def read_records(path: Path, *, n_columns: int | None = None, n_items: int | None = None) -> Records:
+def read_records(path: Path, *, n_columns: int | None = None) -> Records:
     """Read a record file (values separated by comma or space).
 
     Parameters
     ----------
-    n_columns, n_items : expected numbers if known; else those of the first block
+    n_columns : expected number if known; else that of the first block
 
     Raises
     ------
@@ -63,7 +63,7 @@ def read_records(path: Path, *, n_columns: int | None = None, n_items: int | Non
         raise _broken(path, "a block in its middle cannot be read")
     if not kept:
         raise _broken(path, "it contains no complete step")
-    shape = (n_items or len(kept[0].rows), (n_columns or kept[0].rows.shape[1] - 1) + 1)
+    shape = (len(kept[0].rows), (n_columns or kept[0].rows.shape[1] - 1) + 1)
     if not truncated and len(kept) > 1 and len(kept[-1].rows) < shape[0]:
         kept, truncated = kept[:-1], True
     for block in kept:

@@ -43,6 +43,29 @@ class Snapshot:
     listed: bool
 
 
+@dataclass(frozen=True, kw_only=True)
+class RunEnd:
+    """How far a run goes, and with how much effort.
+
+    required : number of must-points that have to be reached; if a later one fails, the run ends with
+        the results so far. None: all
+    full_effort : number of must-points solved with full effort; later ones are attempted with a small
+        iteration budget. None: as `required`
+    last : number of must-points attempted at all; None: all
+    patient : where Newton's method fails before a required must-point, fall back on pseudo-time
+        relaxation, which is slow
+    reached : called after `visit` at every must-point; True ends the run
+    limit : of the work of this run
+    """
+
+    required: int | None = None
+    full_effort: int | None = None
+    last: int | None = None
+    patient: bool = True
+    reached: Callable[[], bool] | None = None
+    limit: WorkLimit | None = None
+
+
 Visitor = Callable[["Analysis", Snapshot], None]
 Guesses = Callable[[System, float], State | None]
 
@@ -68,28 +91,18 @@ class Analysis:
         return self.newton.system
 
     def run(
-        self, visit: Visitor | None = None, *, guesses: Guesses | None = None, required: int | None = None,
-        full_effort: int | None = None, last: int | None = None, patient: bool = True,
-        ends: Callable[[], bool] | None = None, limit: WorkLimit | None = None,
-    ) -> list[Snapshot]:  # fmt: skip
+        self, visit: Visitor | None = None, *, guesses: Guesses | None = None, end: RunEnd = RunEnd()
+    ) -> list[Snapshot]:
         """Run all steps from rest to the end; `visit` is called at every converged time.
 
         guesses : returns an initial guess at a time, from earlier runs of the same load, or None
-        required : number of must-points that have to be reached; if a later one fails, the run ends with
-            the results so far. None: all
-        full_effort : number of must-points solved with full effort; later ones are attempted with a small
-            iteration budget. None: as `required`
-        last : number of must-points attempted at all; None: all
-        patient : where Newton's method fails before a required must-point, fall back on pseudo-time
-            relaxation, which is slow
-        ends : called after `visit` at every must-point; True ends the run
-        limit : of the work of this run
         """
+        required = end.required
         snapshots: list[Snapshot] = []
         state: State | None = None
         histories: Histories | None = None
         begin, n_must = 0.0, 0
-        full_effort = required if full_effort is None else full_effort
+        full_effort = required if end.full_effort is None else end.full_effort
         times = self.times()
         n_steps = sum(map(len, times))
         number = 0
@@ -103,10 +116,10 @@ class Analysis:
                 histories.system = newton.system
             elif self.model.remembers:
                 histories = Histories(newton.system)
-            meter = WorkMeter(newton.counts, limit)
+            meter = WorkMeter(newton.counts, end.limit)
             stepping = LoadStepping(self.model, step, newton, histories)
             for within, target in enumerate(targets, start=1):
-                if last is not None and n_must >= last:
+                if end.last is not None and n_must >= end.last:
                     return snapshots
                 number += 1
                 load_step = newton.load_step(number, n_steps, target, meter)
@@ -115,7 +128,7 @@ class Analysis:
                 advance = partial(
                     stepping.advance_to,
                     brief=full_effort is not None and n_must >= full_effort,
-                    patient=patient and (required is None or n_must < required),
+                    patient=end.patient and (required is None or n_must < required),
                 )
                 try:
                     if self.settings.slip_as_febio and self.model.has_friction:
@@ -136,7 +149,7 @@ class Analysis:
                 snapshots.append(snapshot)
                 if visit is not None:
                     visit(self, snapshot)
-                if must and ends is not None and ends():
+                if must and end.reached is not None and end.reached():
                     return snapshots
             begin = targets[-1]
         return snapshots

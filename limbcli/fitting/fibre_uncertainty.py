@@ -2,18 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from limbcli.case import Site
-from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import LimbError, SolveError
 from limbcli.fitting.force_curves import LawCurve
-from limbcli.fitting.laws import FitLaw
-from limbcli.model import Array, ElementMap, LimbModel, Value
-from limbcli.progress import SILENT, Progress
+from limbcli.model import Array, ElementMap, Value
 from limbcli.results import StageWriter, read_result
 
 _MATTERS = 0.05  # relative change of force or speed above which a warning is given
@@ -46,37 +44,36 @@ def turned(direction: Value, angle_deg: float) -> Value:
 
 
 def write_direction_uncertainty(
-    model: LimbModel, site: Site, law: FitLaw, c: float, shape: Array, deviation_deg: float,
-    writer: StageWriter, *, progress: Progress = SILENT,
+    curve_along: Callable[[Value], LawCurve], direction: Value, shape: Array, deviation_deg: float,
+    writer: StageWriter, *, site: str,
 ) -> None:  # fmt: skip
     """Write `direction_uncertainty` of fit-joint.json: change of force and speed by fibres turned by one
-    standard deviation."""
-    direction = fibre_direction(model)
+    standard deviation.
+
+    curve_along : the site's curve with its fibres in a direction; `direction`, `shape` : of the fit
+    """
     values = []
     for angle in (0.0, deviation_deg):
-        curve = LawCurve(
-            model, law.along(turned(direction, angle)), c=c, density_kg_per_m3=site.density_kg_per_m3,
-            progress=progress,
-        )  # fmt: skip
+        curve = curve_along(turned(direction, angle))
         try:
             values.append(curve(shape).values)
         except SolveError as error:
-            writer.warnings.append(f"{site.name}: fibres {angle:.1f} deg off were not tried: {error.what}")
+            writer.warnings.append(f"{site}: fibres {angle:.1f} deg off were not tried: {error.what}")
             return
         finally:
             curve.close()
     force, speed = np.split(values[1] / values[0] - 1.0, 2)
     worst = {"force_change_fraction": float(force[np.abs(force).argmax()]),
              "speed_change_fraction": float(speed[np.abs(speed).argmax()])}  # fmt: skip
-    writer.data.setdefault("direction_uncertainty", {})[site.name] = {"deviation_deg": deviation_deg, **worst}
+    writer.data.setdefault("direction_uncertainty", {})[site] = {"deviation_deg": deviation_deg, **worst}
     by_force, by_speed = (100 * each for each in worst.values())
     writer.summary.append(
-        f"{site.name}: fibres {deviation_deg:.1f} deg further out of the skin change the force by up to "
+        f"{site}: fibres {deviation_deg:.1f} deg further out of the skin change the force by up to "
         f"{by_force:+.1f} %, speeds by {by_speed:+.1f} %"
     )
     if max(map(abs, worst.values())) > _MATTERS:
         writer.warnings.append(
-            f"{site.name}: the fibres' direction is uncertain by {deviation_deg:.1f} deg, which matters here "
+            f"{site}: the fibres' direction is uncertain by {deviation_deg:.1f} deg, which matters here "
             "(direction_uncertainty) and is not included in the intervals; measure it more precisely, or in "
             "a second image"
         )

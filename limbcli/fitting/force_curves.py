@@ -17,10 +17,10 @@ import numpy as np
 from limbcli.config import available_cores, shares
 from limbcli.errors import SolveError
 from limbcli.files.temporary_folders import scratch_folder
-from limbcli.fitting.kept_solves import KeptForces, KeptSolves
+from limbcli.fitting.kept_solves import NOTHING_KEPT, KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.model_checks import ChangedBoundary
-from limbcli.fitting.solve_again import forces_again
+from limbcli.fitting.solve_again import SolvedAgain
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
 from limbcli.model import Array, ElementMap, IntArray, LimbModel
@@ -85,13 +85,13 @@ class ReferenceCurve:
     """
 
     def __init__(
-        self, model: LimbModel, *, c: float | ElementMap, kept: KeptSolves = KeptSolves(),
-        threads: int = 2, progress: Progress = SILENT,
+        self, model: LimbModel, *, c: float | ElementMap, kept: KeptSolves = NOTHING_KEPT,
+        progress: Progress = SILENT,
     ):  # fmt: skip
         self._model, self._c, self._kept = model, c, kept
         # d kappa / d f_kappa for each cell: kappa = f_kappa c(x).
         self._weights = {(TISSUE, "kappa"): c.values} if isinstance(c, ElementMap) else {}
-        self._session = ReferenceSession(model, progress=progress, threads=threads)
+        self._session = ReferenceSession(model, progress=progress)
         self._progress = progress
         self.depths: Array = np.zeros(0)
         self.n_solves = self.n_kept = 0
@@ -108,9 +108,7 @@ class ReferenceCurve:
         self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
         try:
             result = self._session.solve(
-                model,
-                wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")],
-                weights=self._weights,
+                model, wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")], weights=self._weights
             )
         except ArithmeticError as error:
             raise SolveError(
@@ -170,7 +168,7 @@ class LawCurve:
 
     def __init__(
         self, model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: float, speeds: bool = True,
-        lines: MaterialLines | None = None, threads: int = 2, progress: Progress = SILENT,
+        lines: MaterialLines | None = None, progress: Progress = SILENT,
     ):  # fmt: skip
         if lines is not None:
             others = tuple(each for each in model.records if speeds or each.kind == "rigid_body")
@@ -178,11 +176,9 @@ class LawCurve:
         self._model, self.law, self._c, self._speeds, self._lines = model, law, c, speeds, lines
         self._density = density_kg_per_m3
         start = model.with_material(TISSUE, law.material(c, [each.start for each in law.shape]))
-        self._threads, self._progress = threads, progress
+        self._progress = progress
         stalled = _STALLED_WITH_FIBRES if law.has_fibres else 0.0
-        self._session = ReferenceSession(
-            self._eased(start), progress=progress, threads=threads, stalled=stalled
-        )
+        self._session = ReferenceSession(self._eased(start), progress=progress, stalled=stalled)
         self.depths: Array = np.zeros(0)
         self.n_solves = 0
 
@@ -213,7 +209,7 @@ class LawCurve:
         return self._again(boundary.of(self.fitted(theta)), "boundary check")
 
     def _again(self, model: LimbModel, check: str) -> Array:
-        return forces_again(model, check, like=self._session, threads=self._threads, progress=self._progress)
+        return SolvedAgain(like=self._session, progress=self._progress).forces(model, check)
 
     def fitted(self, theta: Array) -> LimbModel:
         """The model with these parameters as it is solved."""
@@ -276,10 +272,10 @@ class FileCurve:
 
     def __init__(
         self, solver: Solver, model: LimbModel, *, c: float | ElementMap, time_limit_s: float | None = None,
-        cores: int | None = None, progress: Progress = SILENT,
+        cores: int | None = None,
     ):  # fmt: skip
         self._solver, self._model, self._c = solver, model, c
-        self._limit, self._progress = time_limit_s, progress
+        self._limit = time_limit_s
         self._cores = available_cores() if cores is None else cores
         self._times = level_times(model)
         self.depths: Array = np.zeros(0)
@@ -303,7 +299,7 @@ class FileCurve:
         with scratch_folder() as folder:
             model = with_tissue(self._model, c=c, f_kappa=float(theta[0]), m=float(theta[1]))
             feb = self._solver.write(model, folder)
-            self._solver.run(feb, progress=self._progress, time_limit_s=self._limit)
+            self._solver.run(feb, progress=SILENT, time_limit_s=self._limit)
             simulation = self._solver.read(feb)
         self.depths = at_levels(simulation, simulation.probe_depth(), self._times)
         return at_levels(simulation, simulation.probe_force(), self._times)

@@ -45,7 +45,7 @@ def write_geometry(
 
 def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str, Any]]:
     step = found.steps[-1]
-    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    answer = sensitivities(found, step.theta)
     assert answer.jacobian is not None
     free = inside(step)
     depth = found.data.depth[found.data.loaded]

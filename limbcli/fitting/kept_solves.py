@@ -85,3 +85,6 @@ class KeptSolves:
         if self.folder is None:
             return ""
         return key_of(what, model_hash(model), code_hash())[:_LETTERS]
+
+
+NOTHING_KEPT = KeptSolves()

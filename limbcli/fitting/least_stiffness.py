@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from limbcli.fitting.state_curve import StateCurve
-from limbcli.fitting.state_plan import StretchPlan
-from limbcli.inference.adaptive import Intervals
+from limbcli.fitting.fitted_states import FittedStates
 from limbcli.inference.curve_minimum import LowestPoint, lowest_of_points, lowest_on_grid
-from limbcli.inference.derived import DerivedInterval, derived_interval
+from limbcli.inference.derived import DerivedInterval, SearchRange, derived_interval
 from limbcli.inference.states_fit import StatesProblem
 from limbcli.model import Array
 
@@ -100,21 +98,13 @@ class LeastStiffness:
         }  # fmt: skip
 
 
-def least_stiffness(
-    problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan,
-    given: Callable[[str], Sequence[float | None]],
-) -> list[LeastStiffness]:  # fmt: skip
-    """One result for every direction (way) in which states are stretched.
-
-    given : way -> the stretches given for the states
-    """
-    return [_of_way(problem, found, curve, plan, way, given(way)) for way in plan.ways]
+def least_stiffness(fit: FittedStates) -> list[LeastStiffness]:
+    """One result for every direction (way) in which states are stretched."""
+    return [_of_way(fit, way, fit.given(way)) for way in fit.plan.ways]
 
 
-def _of_way(
-    problem: StatesProblem, found: Intervals, curve: StateCurve, plan: StretchPlan, way: str,
-    given: Sequence[float | None],
-) -> LeastStiffness:  # fmt: skip
+def _of_way(fit: FittedStates, way: str, given: Sequence[float | None]) -> LeastStiffness:
+    plan, problem, found = fit.plan, fit.problem, fit.found
     column, names = plan.ways.index(way), [each.name for each in problem.parameters]
     searched = f"unloaded_stretch_{way}"
     place = names.index(searched) if searched in names else None
@@ -128,7 +118,7 @@ def _of_way(
         return float(np.log(theta[place] if place is not None else zero)) if in_case else 0.0
 
     def quantity(theta: Array) -> float:
-        return counted(theta) + lowest_on_grid(_GRID, curve.even_speeds(problem.curve_shape(theta), grid))
+        return counted(theta) + lowest_on_grid(_GRID, fit.curve.even_speeds(problem.curve_shape(theta), grid))
 
     low, high = _GRID[0] + _AT_END, _GRID[-1] - _AT_END
     if place is not None:
@@ -137,11 +127,10 @@ def _of_way(
     elif in_case:
         low, high = low + np.log(zero), high + np.log(zero)
     by_law = derived_interval(
-        problem.objective(), problem.parameters, found.fit, quantity, low=low, high=high, pace=_PACE,
+        problem.objective(), problem.parameters, found.fit, quantity, SearchRange(low, high, _PACE),
         scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
-    values = problem.stretch_values(found.best)
-    logs = [counted(found.best) + np.log(plan.elastic(k, way, values)) for k in range(len(given))]
+    logs = [counted(found.best) + np.log(fit.elastic(k, way)) for k in range(len(given))]
     measured = (float(min(logs)), float(max(logs)))
     return LeastStiffness(
         way, "case" if in_case else "unloaded", by_law, _of_states(problem, given), measured

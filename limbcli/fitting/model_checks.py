@@ -25,8 +25,8 @@ from limbcli.errors import SolveError
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import total_share
 from limbcli.inference.joint_fit import JointProblem, joint_fit
-from limbcli.inference.prediction import SolvedPoints, sampled
-from limbcli.inference.two_step_fit import ForceDepth
+from limbcli.inference.prediction import sampled
+from limbcli.inference.two_step_fit import CurveMatch
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.significant_digits import short
 from limbcli.progress import SILENT, Progress
@@ -213,9 +213,8 @@ def write_contact_check(
 
 
 def moved_parameters(
-    curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array, free: Mapping[int, str],
-    depths: Array, ratio: Array,
-) -> dict[str, float]:  # fmt: skip
+    match: CurveMatch, theta: Array, free: Mapping[int, str], depths: Array, ratio: Array
+) -> dict[str, float]:
     """The parameters with which a model whose forces at `depths` are `ratio` (n_reached,) times the curve's
     fits the same data: one Gauss-Newton step in their logarithms; none if one of them moves by more than a
     factor of `_FAR`, as a linear estimate says nothing there.
@@ -225,10 +224,10 @@ def moved_parameters(
     if not free:
         return {}
     columns = list(free)
-    reached = data.depth <= depths[len(ratio) - 1]
-    at = sampled(curve, knots, data.depth[reached], free=columns, fixed=theta)(theta[columns])
+    places = match.data.depth[match.data.depth <= depths[len(ratio) - 1]]
+    at = sampled(match.curve, match.knots, places, free=columns, fixed=theta)(theta[columns])
     assert at.jacobian is not None
-    times = np.interp(data.depth[reached], depths[: len(ratio)], ratio)
+    times = np.interp(places, depths[: len(ratio)], ratio)
     slopes = times[:, None] * at.jacobian * theta[columns]
     step = np.linalg.lstsq(slopes, at.values * (1.0 - times), rcond=None)[0]
     if np.abs(step).max() > np.log(_FAR):

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fitting.kept_solves import KeptSolves
+from limbcli.fitting.kept_solves import NOTHING_KEPT, KeptSolves
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers.session import ReferenceSession
@@ -36,12 +36,9 @@ def checked_levels(model: LimbModel) -> IntArray:
     return np.linspace(0, n_levels - 1, n).round().astype(np.int64)
 
 
-def forces_again(
-    model: LimbModel, check: str, *, like: ReferenceSession | None = None, levels: Solved | None = None,
-    rows: IntArray | None = None, kept: KeptSolves = KeptSolves(), threads: int = 2,
-    progress: Progress = SILENT,
-) -> Array:  # fmt: skip
-    """Forces (n_reached,) N at levels of a fitted model that was changed for this check.
+@dataclass(frozen=True, eq=False, kw_only=True)
+class SolvedAgain:
+    """How a fitted model that was changed for a check is solved again.
 
     like : a session that has solved the model before the change; its levels are the initial guesses of this
         solve. The solve ends at the first level not reached quickly from there, as a comparison does not need
@@ -49,31 +46,39 @@ def forces_again(
     levels : the levels of the model before the change, as initial guesses of a solve of all levels
     rows : numbers of the levels to solve (`checked_levels`); None: all
     kept : where the forces of such a solve are kept for a later fit
-
-    Raises
-    ------
-    SolveError
-        If the model cannot be solved.
     """
-    if rows is not None and len(model.steps) == 1:
-        (step,) = model.steps
-        fewer = replace(step, must_points=tuple(step.must_points[k] for k in rows))
-        model = replace(model, steps=(fewer,))
-    if like is None and (known := kept.checked(model)) is not None:
-        return known
-    session = ReferenceSession(
-        model, progress=progress, threads=threads, tolerance=_TOLERANCE, stalled=_STALLED
-    )
-    try:
-        if like is None:
-            solved = session.solve(model, start=StartFrom(levels=levels)).must_points.forces
-            kept.keep_checked(model, solved)
-            return solved
-        session.start_like(like)
-        return session.solve(model, stop=StopWhen(required=1, full_effort=0)).must_points.forces
-    except ArithmeticError as error:
-        raise SolveError(
-            f"the law overflows ({error})", where=check, fix=f"--no-{check.replace(' ', '-')}"
-        ) from error
-    finally:
-        session.close()
+
+    like: ReferenceSession | None = None
+    levels: Solved | None = None
+    rows: IntArray | None = None
+    kept: KeptSolves = NOTHING_KEPT
+    progress: Progress = SILENT
+
+    def forces(self, model: LimbModel, check: str) -> Array:
+        """Forces (n_reached,) N at levels of a model that was changed for this check.
+
+        Raises
+        ------
+        SolveError
+            If the model cannot be solved.
+        """
+        if self.rows is not None and len(model.steps) == 1:
+            (step,) = model.steps
+            fewer = replace(step, must_points=tuple(step.must_points[k] for k in self.rows))
+            model = replace(model, steps=(fewer,))
+        if self.like is None and (known := self.kept.checked(model)) is not None:
+            return known
+        session = ReferenceSession(model, progress=self.progress, tolerance=_TOLERANCE, stalled=_STALLED)
+        try:
+            if self.like is None:
+                solved = session.solve(model, start=StartFrom(levels=self.levels)).must_points.forces
+                self.kept.keep_checked(model, solved)
+                return solved
+            session.start_like(self.like)
+            return session.solve(model, stop=StopWhen(required=1, full_effort=0)).must_points.forces
+        except ArithmeticError as error:
+            raise SolveError(
+                f"the law overflows ({error})", where=check, fix=f"--no-{check.replace(' ', '-')}"
+            ) from error
+        finally:
+            session.close()

@@ -58,12 +58,12 @@ class StateCurve:
 
     def __init__(
         self, model: LimbModel, law: FitLaw, ways: Sequence[str], depths: Sequence[float], *, c: float,
-        density_kg_per_m3: float, threads: int = 2, progress: Progress = SILENT,
+        density_kg_per_m3: float, progress: Progress = SILENT,
     ):  # fmt: skip
         self.axes, self.ways, self.depths = StretchAxes.of(model), tuple(ways), np.array(depths, dtype=float)
         self._model = through_depths(model, [*depths, (1.0 + _BEYOND_SHARE) * depths[-1] + _BEYOND])
         self._stretched = (TISSUE, *held_layers(model))
-        self.law, self._c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
+        self.law, self.c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
         self._even = law.along(_one_direction(model))
         offsets = (
             abs(self.axes.along[1]),
@@ -78,7 +78,7 @@ class StateCurve:
             if self.even_speeds(_moved(shape, k, 0.1), stretched) != self.even_speeds(shape, stretched)
         ]  # fmt: skip
         first = self.in_state(self._model, np.r_[shape, np.ones(len(self.ways))], c=c)
-        self._session = ReferenceSession(self._eased(first), progress=progress, threads=threads)
+        self._session = ReferenceSession(self._eased(first), progress=progress)
 
     def stretches(self, theta: Array) -> tuple[float, float]:
         """The stretches along and around the limb."""
@@ -88,11 +88,11 @@ class StateCurve:
     def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
         self.n_solves += 1
         theta = np.asarray(theta, dtype=float)
-        searched = self.law.searched(self._c, theta[: self.n_shape])
+        searched = self.law.searched(self.c, theta[: self.n_shape])
         pulled = {
             (name, f"F0.{way}"): self._direction(theta, way) for way in self.ways for name in self._stretched
         }
-        model = self.in_state(self._model, theta, c=self._c)
+        model = self.in_state(self._model, theta, c=self.c)
         try:
             result = self._session.solve(
                 self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
@@ -168,7 +168,7 @@ class StateCurve:
 
     def _even_speeds(self, *given: tuple[Array, Array]) -> Array:
         """The same (n,) for several shapes, each with stretches (n_each, n_ways), one after the other."""
-        laws = [self._even.material(self._c, shape) for shape, _ in given]
+        laws = [self._even.material(self.c, shape) for shape, _ in given]
         pairs = [self._pairs(stretches) for _, stretches in given]
         terms = [each for law in laws if (each := ogden.terms_of(law)) is not None]
         if len(terms) < len(laws) or self._aligned is None:

@@ -7,19 +7,15 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.case import Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.feb.write import write_feb
 from limbcli.fitting.exports import parameter_rows, write_exports
+from limbcli.fitting.fitted_states import FittedStates
 from limbcli.fitting.joint_picture import draw_joint
 from limbcli.fitting.joint_result import parameter_table, report_fit, write_level_table, write_numbers
-from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.least_stiffness import LeastStiffness, least_stiffness
-from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import StretchPlan
-from limbcli.fitting.states_picture import draw_states, stretch_ends
-from limbcli.inference.adaptive import Intervals
-from limbcli.inference.states_fit import StatesProblem
+from limbcli.fitting.states_picture import draw_states
 from limbcli.model import LimbModel
 from limbcli.numbers.interval_limits import Flag
 from limbcli.reporting.headline import headline
@@ -30,18 +26,15 @@ from limbcli.site_model.prestretch import WAYS, through_depths
 _WIDE = 1.35  # ratio of the ends of a stretch's interval above which it is called weakly identified
 
 
-def write_states(
-    writer: StageWriter, site: Site, model: LimbModel, law: FitLaw, plan: StretchPlan, curve: StateCurve,
-    problem: StatesProblem, found: Intervals,
-) -> None:  # fmt: skip
+def write_states(fit: FittedStates, model: LimbModel, writer: StageWriter) -> None:
     """Write fit-states.json, tables, exports, figures and a model of each state."""
+    law, plan, problem, found = fit.law, fit.plan, fit.problem, fit.found
     parameters = _with_stretches_judged(parameter_table(problem, found), plan)
     c, shape = float(found.best[0]), found.best[1 : 1 + problem.n_shape]
-    names = [each.name for each in site.states]
-    lowest = least_stiffness(problem, found, curve, plan, lambda way: _stated(site, way))
+    lowest = least_stiffness(fit)
     write_numbers(writer, "states", law, parameters, found, [model], problem.task.curve.n_solves)
     writer.data.update(
-        states={name: _state(k, site, plan, curve, problem, found) for k, name in enumerate(names)},
+        states={each.name: _state(k, fit) for k, each in enumerate(fit.site.states)},
         least_stiffness={each.way: each.to_json() for each in lowest},
         taken_as_unloaded={way: plan.unloaded[way] for way in plan.taken},
         undetermined=_undetermined(parameters, plan, lowest),
@@ -50,12 +43,12 @@ def write_states(
     fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
     several = [each.data for each in problem.task.states]
     write_level_table(writer, several, lambda k: problem.predict(k, found.best))
-    write_exports(writer, parameter_rows(site.name, law.name, parameters), fitted)
+    write_exports(writer, parameter_rows(fit.site.name, law.name, parameters), fitted)
     draw_joint(
         several, lambda k: problem.predict(k, found.best), found, writer, file="fit-states.png", of="state"
     )
-    draw_states(writer, site, plan, curve, problem, found, lowest)
-    _write_models(writer, site, model, curve, problem, found)
+    draw_states(fit, lowest, writer)
+    _write_models(fit, model, writer)
     notes = [each.words() for each in lowest]
     for way, stretch in writer.data["taken_as_unloaded"].items():
         notes.append(
@@ -63,10 +56,6 @@ def write_states(
         )
     writer.warnings += writer.data["undetermined"]
     report_fit(writer, law, parameters, found, notes)
-
-
-def _stated(site: Site, way: str) -> list[float | None]:
-    return [getattr(each.stretch, way) for each in site.states]
 
 
 def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) -> dict[str, dict[str, Any]]:
@@ -82,18 +71,15 @@ def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) 
     return table
 
 
-def _state(
-    k: int, site: Site, plan: StretchPlan, curve: StateCurve, problem: StatesProblem, found: Intervals
-) -> dict[str, Any]:
+def _state(k: int, fit: FittedStates) -> dict[str, Any]:
     """One state: its given stretches, its elastic stretches with their intervals, its speed at rest."""
-    data, seen = problem.task.states[k].data, problem.predict(k, found.best)
-    values, out = problem.stretch_values(found.best), {}
+    data, seen = fit.problem.task.states[k].data, fit.problem.predict(k, fit.found.best)
+    out = {}
     for way in WAYS:
-        known = plan.is_known(k, way)
-        low, high = stretch_ends(k, way, plan, found)
+        low, high = fit.stretch_ends(k, way)
         out[f"stretch_{way}"] = {
-            "told": _stated(site, way)[k], "value": plan.elastic(k, way, values), "low": low, "high": high,
-            "known": known,
+            "told": fit.given(way)[k], "value": fit.elastic(k, way), "low": low, "high": high,
+            "known": fit.plan.is_known(k, way),
         }  # fmt: skip
     rest = int(np.argmin(data.speed_force))
     return {
@@ -121,13 +107,10 @@ def _undetermined(
     return found + [each.words() for each in lowest if not each.is_determined]
 
 
-def _write_models(
-    writer: StageWriter, site: Site, model: LimbModel, curve: StateCurve, problem: StatesProblem,
-    found: Intervals,
-) -> None:  # fmt: skip
+def _write_models(fit: FittedStates, model: LimbModel, writer: StageWriter) -> None:
     """Write <state>.feb: the fitted law with the state's prestretch, driven through the simulated depths."""
-    depths = [float(each) for each in curve.depths]
-    base = through_depths(model, depths, clear=False)
-    for k, state in enumerate(site.states):
-        fitted = curve.in_state(base, problem.place(k, found.best), c=problem.c_of_curve(found.best))
+    problem, best = fit.problem, fit.found.best
+    base = through_depths(model, [float(each) for each in fit.curve.depths], clear=False)
+    for k, state in enumerate(fit.site.states):
+        fitted = fit.curve.in_state(base, problem.place(k, best), c=problem.c_of_curve(best))
         write_feb(fitted, writer.file(f"feb_{state.name}", f"{state.name}.feb"))

@@ -12,6 +12,7 @@ from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import FitAgreement, force_agreement
 from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts
 from limbcli.inference.identifiability import (
+    NoProfile,
     Verdict,
     correlation,
     force_variance,
@@ -21,8 +22,8 @@ from limbcli.inference.identifiability import (
 )
 from limbcli.inference.interval import Stiffness
 from limbcli.inference.monotone_interpolation import pchip_sample
-from limbcli.inference.prediction import SolvedPoints, slopes_at
-from limbcli.inference.two_step_fit import FittedStep, ForceDepth, sensitivities
+from limbcli.inference.prediction import slopes_at
+from limbcli.inference.two_step_fit import CurveMatch, FittedStep, sensitivities
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import Flag
 from limbcli.numbers.units import kpa_from_mpa
@@ -33,7 +34,7 @@ _LEAST_EXPECTED = 0.5  # lower limit of the expected chi-square: with as many pa
 
 
 @dataclass(frozen=True, eq=False)
-class Identified:
+class Identified(CurveMatch):
     """All results of the two steps.
 
     modes : changes of ln force (n_modes, n_knots), one standard deviation each, by what is not known of the
@@ -41,9 +42,6 @@ class Identified:
     gains : numerical error of ln force at each step's parameters; empty: that of `stiffness`
     """
 
-    curve: SolvedPoints
-    knots: Array
-    data: ForceDepth
     stiffness: Stiffness
     c_source: str
     start: Array
@@ -111,7 +109,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
 
     If the data scatter more than their stated noise, the noise is scaled as for the intervals.
     """
-    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    answer = sensitivities(found, step.theta)
     assert answer.jacobian is not None
     variance = _variance(found, step)
     free = inside(step)
@@ -163,7 +161,7 @@ def c_share(found: Identified) -> Array:
 
 def _spread(found: Identified, step: FittedStep, modes: Array) -> Array:
     """Change of force (n, n_modes), N, at the loaded levels by one standard deviation of each mode."""
-    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    answer = sensitivities(found, step.theta)
     depth = found.data.depth[found.data.loaded]
     return np.asarray(answer.values[:, None] * at_depths(modes, found.knots, depth))
 
@@ -203,20 +201,20 @@ def inside(step: FittedStep) -> list[int]:
 
 def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict]:
     step = found.steps[k]
-    answer = sensitivities(found.curve, found.knots, found.data, step.theta)
+    answer = sensitivities(found, step.theta)
     assert answer.jacobian is not None
     influence = has_influence(answer.jacobian, answer.values)
     rho = np.nan_to_num(correlation(covariance))
     verdicts = {"c_kpa": Verdict(Flag.FIXED, f"c is held fixed: {found.c_source}.")}
     for parameter, index in zip(step.fit.parameters, step.free, strict=True):
-        profile = found.intervals[k].profiles.get(parameter.name) if found.intervals else None
+        own = found.intervals[k].profiles.get(parameter.name) if found.intervals else None
+        error = float(np.sqrt(covariance[1 + index, 1 + index]))
         others = [("c", rho[1 + index, 0])]
         others += [(NAMES[j], rho[1 + index, 1 + j]) for j in step.free if j != index]
         verdicts[parameter.name] = verdict(
-            parameter, float(step.theta[index]), profile,
+            parameter, float(step.theta[index]),
+            NoProfile(found.why_no_intervals, error) if own is None else own,
             influence=bool(influence[index]), correlations=others,
-            log_deviation=float(np.sqrt(covariance[1 + index, 1 + index])),
-            why_no_profile=found.why_no_intervals,
         )  # fmt: skip
     return verdicts
 

@@ -83,7 +83,7 @@ def predict_left_out(
         train = fold != k
         slab = physics(train)
         best = _choose(people, sites, features, compliance, slab, train, seed + 1 + k)
-        model = _Regression.fit(sites, features, compliance, slab, train, *best)
+        model = _Regression.fit(sites, features, compliance, slab, train, best)
         predicted[~train] = model(sites, features, slab)[~train]
         names = ("shrink_all", "shrink_site", "with_slab")
         chosen.append(dict(zip(names, best, strict=True)))
@@ -125,16 +125,17 @@ def _choose(
     inner = person_folds(people, INNER_FOLDS, seed)
     best, least = (*_SHRINK[-1], True), np.inf
     for (all_, site), use in itertools.product(_SHRINK, (True, False)):
+        choice = (all_, site, use)
         missed: list[Array] = []
         for k in range(INNER_FOLDS):
             kept, out = train & (inner != k), train & (inner == k)
             if not kept.any() or not out.any():
                 continue
-            model = _Regression.fit(sites, features, compliance, slab, kept, all_, site, use)
+            model = _Regression.fit(sites, features, compliance, slab, kept, choice)
             missed.append(percent_off(model(sites, features, slab)[out], compliance[out]))
         score = float(np.concatenate(missed).mean())
         if score < least:
-            best, least = (all_, site, use), score
+            best, least = choice, score
     return best
 
 
@@ -150,15 +151,11 @@ class _Regression:
 
     @staticmethod
     def fit(
-        sites: Array,
-        features: Array,
-        compliance: Array,
-        slab: Array,
-        train: Array,
-        shrink_all: float,
-        shrink_site: float,
-        with_slab: bool,
-    ) -> _Regression:
+        sites: Array, features: Array, compliance: Array, slab: Array, train: Array,
+        choice: tuple[float, float, bool],
+    ) -> _Regression:  # fmt: skip
+        """choice : hyperparameters shrink_all, shrink_site, with_slab"""
+        shrink_all, shrink_site, with_slab = choice
         kept = features[train]
         middle, scale = kept.mean(axis=0), kept.std(axis=0)
         scale = np.where(scale > _FLAT, scale, np.inf)

@@ -32,24 +32,33 @@ class DerivedInterval:
     open_high: bool
 
 
+@dataclass(frozen=True)
+class SearchRange:
+    """Values of a quantity that are searched, in its unit; pace : step of the walk outwards."""
+
+    low: float
+    high: float
+    pace: float
+
+
 def derived_interval(
     objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float],
-    *, low: float, high: float, pace: float, scale: float = 1.0, threshold: float = THRESHOLD_95,
+    search: SearchRange, *, scale: float = 1.0, threshold: float = THRESHOLD_95,
 ) -> DerivedInterval:  # fmt: skip
-    """Interval of the values of `quantity` that the data do not exclude, between `low` and `high`.
+    """Interval of the values of `quantity` that the data do not exclude, within the range of the search.
 
     The quantity is constrained to values increasingly far from its best-fit value while all parameters are
     refitted; the constraint is a penalty residual that does not enter the deviance.
 
     objective : residuals in standard deviations
     quantity : theta -> a number that varies smoothly with ln theta
-    pace : step of the walk outwards, in the unit of the quantity
     scale : the deviance is divided by it
     threshold : deviance at the ends of the interval (`threshold_95` where the noise may be larger than
         stated)
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87, for a function of the parameters.
     """
+    low, high, pace = search.low, search.high, search.pace
     value = float(np.clip(quantity(best.theta), low, high))
 
     def at(target: float, guess: Array) -> tuple[float, Array]:

@@ -119,15 +119,21 @@ class Verdict:
     bound: str = ""
 
 
+@dataclass(frozen=True)
+class NoProfile:
+    """Why there is no profile; log_deviation : standard error of ln theta, NaN if unknown."""
+
+    why: str = "no interval was computed"
+    log_deviation: float = np.nan
+
+
 def verdict(
     parameter: FitParameter,
     value: float,
-    profile: Profile | None,
+    profile: Profile | NoProfile,
     *,
     influence: bool,
     correlations: Sequence[tuple[str, float]] = (),
-    log_deviation: float = np.nan,
-    why_no_profile: str = "no interval was computed",
     unit: str = "",
 ) -> Verdict:
     """Classification of a parameter, and the sentence that explains it, with numbers in `unit`.
@@ -135,24 +141,23 @@ def verdict(
     influence : whether the parameter changes the force at this value; even where it does not, other values
         may be excluded
     correlations : (other parameter, correlation) of the logs
-    log_deviation : standard error of ln theta, used where there is no profile; NaN if unknown
     """
     name = parameter.name
-    if not influence and (profile is None or (profile.open_low and profile.open_high)):
+    if not influence and (isinstance(profile, NoProfile) or (profile.open_low and profile.open_high)):
         return Verdict(
             Flag.NO_INFLUENCE,
             f"{name} has no influence on the force here (less than 0.1 % for a doubling): not identifiable.",
         )
     side = parameter.at_bound(value)
-    excluded, unit = _excluded(parameter, profile, unit), unit and f" {unit}"
+    excluded = profile.why if isinstance(profile, NoProfile) else _excluded(parameter, profile, unit)
+    unit = unit and f" {unit}"
     if side:
         which, bound = ("lower", parameter.low) if side == "low" else ("upper", parameter.high)
-        excluded = why_no_profile if profile is None else excluded
         return Verdict(
             Flag.AT_BOUND, f"{name} ended on its {which} bound {bound:g}{unit}; {excluded}.", which
         )
-    if profile is None:
-        return _without_profile(name, value, log_deviation, why_no_profile)
+    if isinstance(profile, NoProfile):
+        return _without_profile(name, value, profile.log_deviation, profile.why)
     wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO
     partner = max(correlations, key=lambda each: abs(each[1]), default=("", 0.0))
     if wide and abs(partner[1]) > _TRADES_OFF:
@@ -181,10 +186,8 @@ def _without_profile(name: str, value: float, log_deviation: float, why: str) ->
     return Verdict(flag, f"{name} = {short(value, 4)}, standard error {short(share, 2)} %; {why}.")
 
 
-def _excluded(parameter: FitParameter, profile: Profile | None, unit: str = "") -> str:
+def _excluded(parameter: FitParameter, profile: Profile, unit: str = "") -> str:
     """The values that the data exclude, in words."""
-    if profile is None:
-        return "no interval was computed"
     unit = unit and f" {unit}"
     below, above = f"below {short(profile.low)}{unit}", f"above {short(profile.high)}{unit}"
     if profile.open_low and profile.open_high:

@@ -20,8 +20,8 @@ from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.identifiability import force_variance
 from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.prediction import SolvedPoints, sampled, slopes_at
-from limbcli.inference.two_step_fit import ForceDepth, search_parameters
+from limbcli.inference.prediction import sampled, slopes_at
+from limbcli.inference.two_step_fit import CurveMatch, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -68,9 +68,7 @@ def _around(name: str, value: float, log_deviation: float) -> tuple[FitParameter
 
 
 def force_intervals(
-    curve: SolvedPoints,
-    knots: Array,
-    data: ForceDepth,
+    match: CurveMatch,
     stiffness: Stiffness,
     theta: Array,
     *,
@@ -83,14 +81,14 @@ def force_intervals(
     uncertainty.
 
     Chi-square = sum (F_exp - F_sim)^2 / (sigma_F^2 + (dF/dd sigma_d)^2) + (ln c/c0)^2 / sigma^2, with the
-    slopes dF/dd of the fit. At most `max_solves` simulations are added to those in `curve`. `best` of the
+    slopes dF/dd of the fit. At most `max_solves` simulations are added to those of the curve. `best` of the
     result is (c, the parameters in `free`), followed by the mesh's gain where layers have a fixed stiffness.
 
     theta : (f_kappa, m) of the fit
     shape_modes : (n_modes, n_knots) changes of ln force, one standard deviation each, due to the uncertainty
         of the model's geometry
     """
-    problem = _ForceProblem(curve, knots, data, stiffness, theta, tuple(free), shape_modes)
+    problem = _ForceProblem(match, stiffness, theta, tuple(free), shape_modes)
     estimate = problem.starts()[0]
     return adaptive_profiles(problem, max_solves=max_solves, estimate=estimate, progress=progress)
 
@@ -100,9 +98,10 @@ class _ForceProblem(Likelihood):
     stiffness)."""
 
     def __init__(
-        self, curve: SolvedPoints, knots: Array, data: ForceDepth, stiffness: Stiffness, fitted: Array,
-        free: tuple[int, ...], shape_modes: Array | None = None,
+        self, match: CurveMatch, stiffness: Stiffness, fitted: Array, free: tuple[int, ...],
+        shape_modes: Array | None = None,
     ):  # fmt: skip
+        curve, knots, data = match.curve, match.knots, match.data
         depth, force = data.depth[data.loaded], data.force[data.loaded]
         variance = force_variance(
             slopes_at(curve, knots, depth, fitted),

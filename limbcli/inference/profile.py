@@ -17,6 +17,7 @@ from limbcli.numbers.interval_limits import THRESHOLD_95
 _TIGHT = 1e-4  # tolerance of the fits
 _CLOSE = 0.02  # tolerance of the deviance at an interval's end
 _FEWEST = 6  # smallest number of points on one side of the best fit
+_N_POINTS = 31  # points between the bounds of a parameter, in its logarithm
 Point = tuple[float, float, Array]  # x, deviance, theta; x : ln of a parameter, or another quantity
 Held = Callable[[float, Array], tuple[float, Array]]
 
@@ -100,7 +101,6 @@ def profile_likelihood(
     *,
     threshold: float = THRESHOLD_95,
     scale: float = 1.0,
-    n_points: int = 31,
 ) -> Profile:
     """Profile likelihood of parameter `index`, followed outwards from the best fit to its bounds.
 
@@ -132,7 +132,7 @@ def profile_likelihood(
     middle = (float(start), 0.0, best.theta)
     sides = []
     for stop in (low, high):
-        n = int(np.ceil(abs(stop - start) * n_points / (high - low)))
+        n = int(np.ceil(abs(stop - start) * _N_POINTS / (high - low)))
         side = walk(at, middle, np.linspace(start, stop, n + 1)[1:], threshold)
         sides.append(replace(side, points=_filled(at, middle, side.points)))
     down, up = sides

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,6 +48,18 @@ class ForceDepth:
 
 
 @dataclass(frozen=True, eq=False)
+class CurveMatch:
+    """A simulated curve, and the readings that it is fitted to.
+
+    curve : (f_kappa, m) -> force (n_knots,) N at depths `knots` mm
+    """
+
+    curve: SolvedPoints
+    knots: Array
+    data: ForceDepth
+
+
+@dataclass(frozen=True, eq=False)
 class FittedStep:
     """One step of the identification: free parameters, result and goodness of fit."""
 
@@ -72,11 +85,8 @@ def search_parameters(
 
 
 def two_step(
-    curve: SolvedPoints,
-    knots: Array,
-    data: ForceDepth,
+    match: CurveMatch,
     *,
-    start_f_kappa: float = START_F_KAPPA,
     tolerance: float = 1e-3,
     max_iterations: int = 50,
     guided: bool = True,
@@ -90,40 +100,37 @@ def two_step(
 
     guided : each iteration first tries the minimum on a surrogate of the solved points, which saves
         simulations; the end point must pass the same tests either way
-    curve : (f_kappa, m) -> force (n_knots,) N at depths `knots` mm
 
     Raises
     ------
     FitError
         With fewer than three loaded levels, or if a step does not converge.
     """
-    if int(data.loaded.sum()) < 3:
+    n_loaded = int(match.data.loaded.sum())
+    if n_loaded < 3:
         raise FitError(
-            f"{int(data.loaded.sum())} levels are deeper than first touch; a fit needs at least three",
+            f"{n_loaded} levels are deeper than first touch; a fit needs at least three",
             where="levels.csv, column depth_mm",
             fix="measure more force levels, or mark loading rows `load` in the column phase",
         )
-    start = np.array([start_f_kappa, M_MOONEY_RIVLIN])
-    first = _step(
-        MOONEY_RIVLIN, (F_KAPPA,), start, curve, knots, data, tolerance, max_iterations, guided, progress
-    )
-    both = (F_KAPPA, M)
-    second = _step(OGDEN, both, first.theta, curve, knots, data, tolerance, max_iterations, guided, progress)
-    return first, second
+    search: dict[str, Any] = {
+        "tolerance": tolerance, "max_iterations": max_iterations, "progress": progress,
+    }  # fmt: skip
+    start = np.array([START_F_KAPPA, M_MOONEY_RIVLIN])
+    first = _step(MOONEY_RIVLIN, (F_KAPPA,), start, match, guided, **search)
+    return first, _step(OGDEN, (F_KAPPA, M), first.theta, match, guided, **search)
 
 
 def _step(
-    name: str, free: tuple[int, ...], start: Array, curve: SolvedPoints, knots: Array, data: ForceDepth,
-    tolerance: float, max_iterations: int, guided: bool, progress: Progress,
-) -> FittedStep:  # fmt: skip
+    name: str, free: tuple[int, ...], start: Array, match: CurveMatch, guided: bool, **search: Any
+) -> FittedStep:
+    """One step; `search` : options of `least_squares_fit`."""
+    curve, data = match.curve, match.data
     parameters = [search_parameters(*start)[k] for k in free]
-    predict = sampled(curve, knots, data.depth, free=free, fixed=start)
+    predict = sampled(curve, match.knots, data.depth, free=free, fixed=start)
     before, clock = curve.n_solves, time.perf_counter()
-    fit = least_squares_fit(
-        force_residual(predict, data.force), parameters,
-        tolerance=tolerance, max_iterations=max_iterations, progress=progress,
-        guide=_guide(parameters, free, start, curve, knots, data) if guided else None,
-    )  # fmt: skip
+    guide = _guide(parameters, free, start, match) if guided else None
+    fit = least_squares_fit(force_residual(predict, data.force), parameters, guide=guide, **search)
     theta = start.copy()
     theta[list(free)] = fit.theta
     simulated = data.force - fit.residual
@@ -135,27 +142,26 @@ def _step(
 
 
 def _guide(
-    parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, curve: SolvedPoints,
-    knots: Array, data: ForceDepth,
-) -> Guide:  # fmt: skip
+    parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, match: CurveMatch
+) -> Guide:
     """Minimum of the same objective on a surrogate of all points solved so far, within one step.
 
     Far from the solved points a surrogate has minima of its own.
     """
 
     def guess(theta: Array) -> Array:
-        predict = sampled(Emulator(curve), knots, data.depth, free=free, fixed=start)
+        predict = sampled(Emulator(match.curve), match.knots, match.data.depth, free=free, fixed=start)
         near = [p.within_step(float(t)).in_logs() for p, t in zip(parameters, theta, strict=True)]
-        objective = force_residual(predict, data.force)
+        objective = force_residual(predict, match.data.force)
         return least_squares_fit(objective, near, tolerance=1e-5, must_settle=False).theta
 
     return guess
 
 
-def sensitivities(curve: SolvedPoints, knots: Array, data: ForceDepth, theta: Array) -> Prediction:
+def sensitivities(match: CurveMatch, theta: Array) -> Prediction:
     """Force at the loaded levels and its derivative with respect to ln f_kappa and ln m."""
-    depths = data.depth[data.loaded]
-    predict = sampled(curve, knots, depths, free=(F_KAPPA, M), fixed=theta)
+    depths = match.data.depth[match.data.loaded]
+    predict = sampled(match.curve, match.knots, depths, free=(F_KAPPA, M), fixed=theta)
     answer = predict(theta)
     assert answer.jacobian is not None
     return Prediction(answer.values, answer.jacobian * theta)

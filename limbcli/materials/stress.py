@@ -35,10 +35,10 @@ def tangents_at_rest(program: Program) -> Array:
     return CC
 
 
-def second_piola_kirchhoff(material: Material, F: Array, *, time_s: float = 0.0) -> tuple[Array, Array]:
+def second_piola_kirchhoff(material: Material, F: Array) -> tuple[Array, Array]:
     """S (n, 3, 3) MPa and its tangent CC = dS/dE (n, 3, 3, 3, 3) of an elastic law at F (n, 3, 3).
 
-    Load curves are taken as 1. Where det F <= 0 both are zero. `time_s` is not used.
+    Load curves are taken as 1. Where det F <= 0 both are zero.
     """
     program = compile_material(material, material.law).program(len(F), lambda name: 1.0)
     return program_stress(program, F)

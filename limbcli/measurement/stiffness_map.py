@@ -18,7 +18,8 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array
 
-SMOOTHING, FADE = 3.0, 6.0
+SMOOTHING = 3.0  # mm, deviation of the Gaussian over the pixels (about what a wave-speed pixel averages)
+FADE = 6.0  # mm, distance over which a value fades into the median outside the map
 _LEAST_PIXELS = 12
 
 
@@ -35,20 +36,13 @@ class Stiffnesses:
     median: float
 
 
-def stiffness_at(
-    swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0, smoothing: float = SMOOTHING,
-    fade: float = FADE, half_elevation: float = np.inf,
-) -> Stiffnesses:  # fmt: skip
+def stiffness_at(swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0) -> Stiffnesses:
     """c at points of a site's model.
 
     Parameters
     ----------
     swe : the map of level 0, lateral along the model's x, depth along -z, mm
     points : (n_points, 3) mm, frame of the site's model
-    smoothing : mm, standard deviation of the Gaussian over the pixels (about the averaging of a wave-speed
-        pixel)
-    fade : mm, distance over which a value fades into the median outside the map
-    half_elevation : mm, |y| up to which the map is extruded unchanged
 
     Raises
     ------
@@ -63,29 +57,25 @@ def stiffness_at(
         )
     places = np.column_stack([swe.lateral, swe.depth])
     c = 2.0 * shear_modulus_from_wave_speed(swe.speed_m_per_s, density_kg_per_m3=density_kg_per_m3)
-    log_c = _smoothed(places, np.log(c), smoothing)
+    log_c = _smoothed(places, np.log(c))
     at = np.column_stack([points[:, 0], -points[:, 2]])
     value = _interpolated(places, log_c, at, swe)
     in_plane = np.isfinite(LinearNDInterpolator(places, np.ones(len(places)))(at))  # in the convex hull
-    beside = np.maximum(np.abs(points[:, 1]) - half_elevation, 0.0)
     tree = cKDTree(places)
     outside = np.maximum(tree.query(at)[0] - np.median(tree.query(places, k=2)[0][:, 1]), 0.0)
-    away = np.hypot(np.where(in_plane, 0.0, outside), beside)
-    weight = np.exp(-0.5 * (away / fade) ** 2)
+    weight = np.exp(-0.5 * (np.where(in_plane, 0.0, outside) / FADE) ** 2)
     median = float(np.median(log_c))
     c = np.exp(weight * value + (1.0 - weight) * median)
-    return Stiffnesses(c, in_plane & (beside == 0.0), float(np.exp(median)))
+    return Stiffnesses(c, in_plane, float(np.exp(median)))
 
 
-def _smoothed(places: Array, values: Array, width: float) -> Array:
+def _smoothed(places: Array, values: Array) -> Array:
     """Gaussian average over the pixels around each pixel."""
-    if width <= 0:
-        return values
     tree = cKDTree(places)
-    near = tree.query_ball_point(places, 3.0 * width)
+    near = tree.query_ball_point(places, 3.0 * SMOOTHING)
     out = np.empty_like(values)
     for k, each in enumerate(near):
-        weight = np.exp(-0.5 * ((places[each] - places[k]) ** 2).sum(axis=1) / width**2)
+        weight = np.exp(-0.5 * ((places[each] - places[k]) ** 2).sum(axis=1) / SMOOTHING**2)
         out[k] = weight @ values[each] / weight.sum()
     return out
 

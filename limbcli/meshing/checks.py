@@ -13,6 +13,7 @@ from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array
 
 _DEEPEST = 150.0  # search depth of a beam below the face at first touch, mm
+_STEP = 0.25  # mm between the places of that search
 
 
 @dataclass(frozen=True)
@@ -38,7 +39,7 @@ class SiteChecks:
         return asdict(self)
 
 
-def site_checks(domain: TissueDomain, probe: ProbeShape, margin: float) -> SiteChecks:
+def site_checks(domain: TissueDomain, probe: ProbeShape) -> SiteChecks:
     """Measure the domain along the probe's beam (-z) over its face."""
     x, y = probe.plan(2.0)
     covered = np.isfinite(probe.rise(x, y))
@@ -91,12 +92,12 @@ def to_cut(planes: Sequence[Plane], probe: ProbeShape) -> float | None:
     return min(reach, default=None)
 
 
-def beam(domain: TissueDomain, x: Array, y: Array, *, step: float = 0.25) -> tuple[Array, Array]:
+def beam(domain: TissueDomain, x: Array, y: Array) -> tuple[Array, Array]:
     """Height of the skin at plan points, and tissue thickness from there to bone (n,).
 
     NaN where there is no skin, or no bone below it.
     """
-    z = np.arange(10.0, -_DEEPEST, -step)
+    z = np.arange(10.0, -_DEEPEST, -_STEP)
     grid = np.stack(
         [np.broadcast_to(v, (len(x), len(z))) for v in (x[:, None], y[:, None], z[None, :])], axis=-1
     )

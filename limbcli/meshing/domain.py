@@ -29,6 +29,7 @@ CLEARANCE = 1.2  # mm of tissue kept between skin and bone
 WEDGE = 2.5  # mm: tissue between bone and a cut is treated as bone where it is narrower than about twice this
 CLEFT = 1.5  # mm: clefts between bones narrower than twice this are filled
 _SMALL = 60.0  # mm3: smaller pieces of bone are discarded
+_SPACING = 1.0  # mm, of the grid on which a bone is cut off at the skin
 _SPECK = 0.05  # fraction of the largest piece of tissue: the site cannot lie in a smaller piece
 
 
@@ -136,11 +137,11 @@ def _clear_of_skin(bone: Field, skin: Field, planes: tuple[Plane, ...], notes: l
     return distance_again(bone.with_values(np.maximum(bone.values, skin.values + CLEARANCE)))
 
 
-def part_inside(bone: Triangles, skin: Triangles, *, spacing: float = 1.0) -> Triangles | None:
+def part_inside(bone: Triangles, skin: Triangles) -> Triangles | None:
     """The part of a bone that lies within a closed skin; None if it is too small to be meshed."""
-    grid = grid_over(bone.points.min(0) - 2 * spacing, bone.points.max(0) + 2 * spacing, spacing)
+    grid = grid_over(bone.points.min(0) - 2 * _SPACING, bone.points.max(0) + 2 * _SPACING, _SPACING)
     inside = np.maximum(signed_distance(bone, grid).values, signed_distance(skin, grid).values)
-    if (inside < 0).sum() * spacing**3 < _SMALL:
+    if (inside < 0).sum() * _SPACING**3 < _SMALL:
         return None
     return _level_set(Field(grid, inside))
 

@@ -14,6 +14,7 @@ from limbcli.meshing.surfaces import undirected
 from limbcli.model import Array, IntArray
 
 _LONG, _SHORT = 1.35, 0.78  # fractions of the target length: longer edges are split, shorter ones collapsed
+_ROUNDS = 60  # greatest number of rounds in which nodes are put back where they were
 
 
 def edges_of(faces: IntArray) -> tuple[IntArray, IntArray]:
@@ -154,12 +155,12 @@ def area_vectors(points: Array, faces: IntArray) -> Array:
     return 0.5 * np.cross(b - a, c - a)
 
 
-def keep_unfolded(before: Array, after: Array, faces: IntArray, *, rounds: int = 60) -> Array:
+def keep_unfolded(before: Array, after: Array, faces: IntArray) -> Array:
     """`after`, except that nodes whose faces would be inverted or collapse stay at `before`."""
     x = after.copy()
     old = area_vectors(before, faces)
     size = np.linalg.norm(old, axis=1)
-    for _ in range(rounds):
+    for _ in range(_ROUNDS):
         new = area_vectors(x, faces)
         fit = np.einsum("ij,ij->i", old, new) > 0.3 * size * np.linalg.norm(new, axis=1)
         fit &= np.linalg.norm(new, axis=1) > 0.1 * size

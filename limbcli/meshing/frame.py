@@ -18,6 +18,8 @@ from limbcli.model import Array
 from limbcli.model.patient_frame import side_of, toward_head
 
 FAR_FROM_SKIN = 30.0  # mm: a site farther than this from the skin is an error
+_PLAN = 0.5  # mm between the points of the face at which first touch is looked for
+_LOWEST = -60.0  # mm: skin farther below the frame's origin is that of the other side
 # Largest angle (deg) between a given long axis and the skin at which the axis is still taken as the probe's
 # own: what hand-held placement gives (the prior of a tilt). At larger angles only its projection on the skin
 # is used.
@@ -186,11 +188,10 @@ def _mean_normal(skin: Triangles, point: Array, normal: Array, x: Array, probe: 
     return mean / np.linalg.norm(mean)
 
 
-def first_touch(skin: Triangles, probe: ProbeShape, *, spacing: float = 0.5) -> float:
+def first_touch(skin: Triangles, probe: ProbeShape) -> float:
     """Height (mm) at which the face of a probe moving down along z first meets the skin."""
-    height = skin_height(skin, *probe.plan(spacing))
-    x, y = probe.plan(spacing)
-    gap = height - probe.rise(x, y)
+    x, y = probe.plan(_PLAN)
+    gap = skin_height(skin, x, y) - probe.rise(x, y)
     if not np.isfinite(gap).any():
         raise MeshError(
             "there is no skin under the probe", where="site", fix="move position_mm onto the limb"
@@ -198,12 +199,12 @@ def first_touch(skin: Triangles, probe: ProbeShape, *, spacing: float = 0.5) -> 
     return float(np.nanmax(gap))
 
 
-def skin_height(skin: Triangles, x: Array, y: Array, *, lowest: float = -60.0) -> Array:
+def skin_height(skin: Triangles, x: Array, y: Array) -> Array:
     """Height of the uppermost outward-facing skin at plan points (n,); NaN where there is none."""
     corners = skin.corners[(skin.area_vectors[:, 2] > 0)]
     low, high = corners.min(axis=1), corners.max(axis=1)
     near = (high[:, 0] > x.min()) & (low[:, 0] < x.max()) & (high[:, 1] > y.min()) & (low[:, 1] < y.max())
-    near &= high[:, 2] > lowest
+    near &= high[:, 2] > _LOWEST
     out = np.full(len(x), np.nan)
     for a, b, c in corners[near]:
         d = (b[0] - a[0]) * (c[1] - a[1]) - (c[0] - a[0]) * (b[1] - a[1])

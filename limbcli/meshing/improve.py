@@ -10,7 +10,7 @@ the planes of the cuts.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -23,6 +23,7 @@ from limbcli.numbers.compiled import njit
 FREE, FIXED = 0, -1
 _DIRECTIONS = 14
 _ON = 0.02  # mm: a boundary node this close to its surface counts as lying on it
+_ROUNDS = 3  # of projections onto the surfaces of a point, one after the other
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,11 +49,33 @@ class NodeConstraints:
         return NodeConstraints(codes)
 
 
-def put_back(points: Array, constraints: NodeConstraints, domain: TissueDomain, *, rounds: int = 3) -> Array:
+class _Surfaces(NamedTuple):
+    """The surfaces of a domain for the kernels.
+
+    skin, bone : values on one grid, with its origin (3,) and spacing; planes (n, 4) : unit normals, offsets
+    """
+
+    skin: Array
+    bone: Array
+    origin: Array
+    spacing: float
+    planes: Array
+
+    @staticmethod
+    def of(domain: TissueDomain) -> _Surfaces:
+        skin = domain.skin
+        bone = domain.bone or Field(skin.grid, np.ones((2, 2, 2)))
+        skin_values, bone_values = (np.ascontiguousarray(each.values, np.float64) for each in (skin, bone))
+        planes = np.array([[*each.normal, each.offset] for each in domain.planes]).reshape(-1, 4)
+        return _Surfaces(
+            skin_values, bone_values, np.asarray(skin.grid.origin, float), float(skin.grid.spacing), planes
+        )
+
+
+def put_back(points: Array, constraints: NodeConstraints, domain: TissueDomain) -> Array:
     """Project boundary points onto the surfaces they belong to."""
     x = np.array(points, float)
-    arrays = _arrays(domain)
-    _put_all_back(x, constraints.codes, *arrays, rounds)  # type: ignore[call-arg]
+    _put_all_back(x, constraints.codes, _Surfaces.of(domain), _ROUNDS)
     return x
 
 
@@ -66,22 +89,13 @@ def smooth(
     star = order // 4
     x = np.array(points, float)
     goal = float(np.sin(np.radians(goal_deg)))
-    _smooth(x, corners, star, start, constraints.codes, *_arrays(domain), goal, passes)  # type: ignore[call-arg]
+    _smooth(x, corners, star, start, constraints.codes, _Surfaces.of(domain), goal, passes)
     return x
 
 
 def worst_sines(points: Array, cells: IntArray) -> Array:
     """Smallest sine of the six dihedral angles of each cell, negative where inverted."""
     return _all_sines(np.ascontiguousarray(points), np.ascontiguousarray(cells[:, :4]))
-
-
-def _arrays(domain: TissueDomain) -> tuple[Any, ...]:
-    """The domain as plain arrays for the kernels."""
-    skin = domain.skin
-    bone = domain.bone or Field(skin.grid, np.ones((2, 2, 2)))
-    planes = np.array([[*each.normal, each.offset] for each in domain.planes]).reshape(-1, 4)
-    values = (np.ascontiguousarray(skin.values, np.float64), np.ascontiguousarray(bone.values, np.float64))
-    return (*values, np.asarray(skin.grid.origin, float), float(skin.grid.spacing), planes)
 
 
 # ---------------------------------------------------------------- kernels
@@ -165,18 +179,23 @@ def _sample(values: Any, origin: Any, spacing: float, p: Any, out: Any) -> float
 
 
 @njit
-def _to_surface(
-    p: Any, code: int, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
-) -> None:
+def _from_skin_or_bone(p: Any, code: int, surfaces: Any, g: Any) -> float:
+    """Distance (mm) of p from the skin (`code` 1) or bone; its gradient is written to g."""
+    values = surfaces.skin if code == 1 else surfaces.bone
+    return _sample(values, surfaces.origin, surfaces.spacing, p, g)
+
+
+@njit
+def _to_surface(p: Any, code: int, surfaces: Any, g: Any) -> None:
     """One Newton step of p onto the surface given by `code`; its unit normal there is written to g."""
     if code >= 3:
-        normal = planes[code - 3]
+        normal = surfaces.planes[code - 3]
         height = p[0] * normal[0] + p[1] * normal[1] + p[2] * normal[2] - normal[3]
         for k in range(3):
             g[k] = normal[k]
             p[k] -= height * normal[k]
         return
-    value = _sample(skin if code == 1 else bone, origin, spacing, p, g)
+    value = _from_skin_or_bone(p, code, surfaces, g)
     square = max(g[0] * g[0] + g[1] * g[1] + g[2] * g[2], 0.05)
     step = min(max(value / square, -2.0), 2.0)
     size = np.sqrt(square)
@@ -186,46 +205,39 @@ def _to_surface(
 
 
 @njit
-def _put_back(
-    p: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, rounds: int, g: Any
-) -> None:
+def _put_back(p: Any, codes: Any, surfaces: Any, rounds: int, g: Any) -> None:
     for _ in range(rounds):
         for each in range(2):
             if codes[each] > 0:
-                _to_surface(p, codes[each], skin, bone, origin, spacing, planes, g)
+                _to_surface(p, codes[each], surfaces, g)
 
 
 @njit
-def _off_surface(
-    p: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, g: Any
-) -> float:
+def _off_surface(p: Any, codes: Any, surfaces: Any, g: Any) -> float:
     """Largest distance (mm) of p from the surfaces it should lie on."""
     worst = 0.0
     for each in range(2):
         code = codes[each]
         if code >= 3:
-            n = planes[code - 3]
+            n = surfaces.planes[code - 3]
             worst = max(worst, abs(p[0] * n[0] + p[1] * n[1] + p[2] * n[2] - n[3]))
         elif code > 0:
-            worst = max(worst, abs(_sample(skin if code == 1 else bone, origin, spacing, p, g)))
+            worst = max(worst, abs(_from_skin_or_bone(p, code, surfaces, g)))
     return worst
 
 
 @njit
-def _put_all_back(
-    x: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float, planes: Any, rounds: int
-) -> None:
+def _put_all_back(x: Any, codes: Any, surfaces: Any, rounds: int) -> None:
     g = np.empty(3)
     for v in range(len(x)):
         if codes[v, 0] > 0:
-            _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, rounds, g)
+            _put_back(x[v], codes[v], surfaces, rounds, g)
 
 
 @njit
 def _smooth(
-    x: Any, cells: Any, star: Any, start: Any, codes: Any, skin: Any, bone: Any, origin: Any, spacing: float,
-    planes: Any, goal: float, passes: int,
-) -> None:  # fmt: skip
+    x: Any, cells: Any, star: Any, start: Any, codes: Any, surfaces: Any, goal: float, passes: int
+) -> None:
     np.random.seed(7)  # noqa: NPY002 (numba knows no Generator here)
     g = np.empty(3)
     rounds = np.int64(3)  # not a literal: see `materials.cache`
@@ -255,8 +267,8 @@ def _smooth(
                     for k in range(3):
                         x[v, k] = here[k] + size * reach * np.random.normal() * 0.6  # noqa: NPY002
                     if codes[v, 0] > 0:
-                        _put_back(x[v], codes[v], skin, bone, origin, spacing, planes, rounds, g)
-                        if _off_surface(x[v], codes[v], skin, bone, origin, spacing, planes, g) > _ON:
+                        _put_back(x[v], codes[v], surfaces, rounds, g)
+                        if _off_surface(x[v], codes[v], surfaces, g) > _ON:
                             continue
                     q = _star_quality(x, cells, star, first, last)
                     if q > best:

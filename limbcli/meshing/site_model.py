@@ -104,7 +104,7 @@ def site_model(
     core = core_of(filled, options.layers) if options.layers else None
     volume, kinds = _fill(filled, core, probe, options)
     progress.event("task", name="mesh: model", done=3, total=4)
-    checks = site_checks(domain, probe, options.margin)
+    checks = site_checks(domain, probe)
     rigid = probe_mesh(probe)
     lowered = ProbeMesh(rigid.points - [0, 0, options.start_depth], rigid.quads, rigid.tips)
     names = ("tissue", *(each.name for each in reversed(options.layers)))

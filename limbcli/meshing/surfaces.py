@@ -16,6 +16,8 @@ from limbcli.errors import CaseError, MeshError
 from limbcli.model import Array, IntArray
 from limbcli.surface_formats.triangle_files import SUFFIXES, read_triangles
 
+_SAME_POINT = 1e-7  # of a surface's size: points that are closer are one
+
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
@@ -130,10 +132,10 @@ def read_surface(
     return surface
 
 
-def merge_points(surface: Triangles, *, tolerance: float = 1e-7) -> Triangles:
-    """Merge coincident points (within `tolerance` times the surface's size); drop degenerate faces."""
+def merge_points(surface: Triangles) -> Triangles:
+    """Merge coincident points (within `_SAME_POINT` times the surface's size); drop degenerate faces."""
     size = float(np.ptp(surface.points, axis=0).max()) or 1.0
-    keys = np.round((surface.points - surface.points.min(0)) / (tolerance * size)).astype(np.int64)
+    keys = np.round((surface.points - surface.points.min(0)) / (_SAME_POINT * size)).astype(np.int64)
     _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
     faces = inverse.reshape(-1)[surface.faces]
     a, b, c = faces.T

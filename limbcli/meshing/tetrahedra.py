@@ -16,6 +16,7 @@ from limbcli.model import Array, IntArray
 
 _BEYOND = 0.02  # mm: distance of a point in a void from its facet
 _SPACING = 1.0  # smallest distance between interior points, as a multiple of the target edge length
+_TIME_LIMIT_S = 30.0  # of TetGen
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,6 @@ def tetgen_mesh(
     *,
     min_ratio: float = 1.4,
     min_dihedral_deg: float = 12.0,
-    time_limit_s: float = 30.0,
 ) -> Tetrahedra:
     """Run TetGen in a separate process (it may crash or not terminate); boundary facets are preserved.
 
@@ -94,7 +94,7 @@ def tetgen_mesh(
     points = np.ascontiguousarray(np.vstack([boundary.surface.points, inner]))
     faces = np.ascontiguousarray(boundary.surface.faces)
     options = {"minratio": min_ratio, "mindihedral": min_dihedral_deg, "holes": _in_voids(boundary.surface)}
-    nodes, cells = in_process("tetgen", points, faces, options, time_limit_s=time_limit_s)
+    nodes, cells = in_process("tetgen", points, faces, options, time_limit_s=_TIME_LIMIT_S)
     return checked(nodes, cells, boundary.surface.volume, "TetGen")
 
 

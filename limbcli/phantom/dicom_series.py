@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pydicom
 from pydicom.dataset import FileDataset, FileMetaDataset
-from pydicom.uid import ExplicitVRLittleEndian, ImplicitVRLittleEndian, MRImageStorage, generate_uid
+from pydicom.uid import ExplicitVRLittleEndian, MRImageStorage, generate_uid
 
 from limbcli.model import Array
 from limbcli.phantom.mri import VoxelGrid
@@ -23,9 +23,8 @@ DATE = "20260101"
 
 
 def write_series(
-    folder: Path, signal: Array, grid: VoxelGrid, *, subject: str = "phantom", seed: int = 0,
-    implicit: bool = False,
-) -> list[Path]:  # fmt: skip
+    folder: Path, signal: Array, grid: VoxelGrid, *, subject: str = "phantom", seed: int = 0
+) -> list[Path]:
     """Write `signal` (ni columns, nj rows, nk slices; >= 0) as files IM_0001.dcm, ... in `folder`.
 
     Files are numbered against the slice direction, so that sorting by name alone turns the limb upside down.
@@ -35,12 +34,12 @@ def write_series(
     top = 2**BITS - 1
     slope = float(f"{float(signal.max()) / top:.6g}") or 1.0
     stored = np.clip(np.rint(signal / slope), 0, top).astype("<u2")
-    uid = _uids(subject, seed, implicit, stored)
+    uid = _uids(subject, seed, stored)
     paths = []
     for k in range(grid.shape[2]):
         number = grid.shape[2] - k
         path = folder / f"IM_{number:04d}.dcm"
-        dataset = _empty(path, uid, number, implicit=implicit)
+        dataset = _empty(path, uid, number)
         _describe(dataset, subject=subject)
         _place(dataset, grid, k, number)
         _pixels(dataset, stored[:, :, k].T, slope=slope)
@@ -49,19 +48,19 @@ def write_series(
     return paths
 
 
-def _uids(subject: str, seed: int, implicit: bool, stored: Array) -> dict[str, str]:
+def _uids(subject: str, seed: int, stored: Array) -> dict[str, str]:
     """UIDs that depend only on the content (study, series, frame, and a stem for instances)."""
-    stem = [subject, str(seed), str(implicit), str(int(stored.sum(dtype=np.int64))), str(stored.shape)]
+    stem = [subject, str(seed), str(int(stored.sum(dtype=np.int64))), str(stored.shape)]
     names = ("study", "series", "frame")
     uid = {name: str(generate_uid(entropy_srcs=[*stem, name])) for name in names}
     return {**uid, "stem": "/".join(stem)}
 
 
-def _empty(path: Path, uid: dict[str, str], number: int, *, implicit: bool) -> FileDataset:
+def _empty(path: Path, uid: dict[str, str], number: int) -> FileDataset:
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = MRImageStorage
     meta.MediaStorageSOPInstanceUID = generate_uid(entropy_srcs=[uid["stem"], f"instance {number}"])
-    meta.TransferSyntaxUID = ImplicitVRLittleEndian if implicit else ExplicitVRLittleEndian
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
     meta.ImplementationVersionName = "LIMBCLI"
     dataset = FileDataset(str(path), {}, file_meta=meta, preamble=b"\0" * 128)
     dataset.SOPClassUID = MRImageStorage

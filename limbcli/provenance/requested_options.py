@@ -54,7 +54,7 @@ def options_of(kind: type, requested: Requested) -> Any:
     """An options dataclass with the requested values; unknown keys are ignored."""
     names = {each.name for each in fields(kind)}
     known = {key: value for key, value in requested.items() if key in names}
-    known |= {key: tuple(known[key]) for key in ("effects", "draws") if key in known}
+    known |= {key: tuple(known[key]) for key in ("effects", "draws", "seeds", "place") if key in known}
     paths = {key: Path(known[key]) for key in _PATHS if known.get(key) is not None}
     return kind(**{**known, **paths})
 

@@ -108,6 +108,11 @@ class Outcomes:
         """Outcome of an optional stage, or None if it was not run."""
         return next((each for each in self.all if (each.stage, each.site) == (stage, site)), None)
 
+    def usable(self, stage: str, site: str | None = None) -> StageResult | None:
+        """Result of a stage, unless it was not run or a later run failed."""
+        found = self.maybe(stage, site)
+        return None if found is None else found.usable
+
     @property
     def done(self) -> tuple[Outcome, ...]:
         return tuple(each for each in self.all if each.result is not None)

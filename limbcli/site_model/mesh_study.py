@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from limbcli.case import Case, Site
+from limbcli.case import Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.settings import schedule
 from limbcli.files.plain_text import write_rows
@@ -22,6 +22,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
 from limbcli.site_model.indentation_model import indentation_model, starting_depth
 from limbcli.site_model.mesh_inputs import MeshInputs
+from limbcli.site_model.segmented_limb import site_position
 from limbcli.site_model.site_layers import layer_laws, layers_in, with_layer_laws
 from limbcli.site_model.site_levels import levels_of
 from limbcli.solvers.session import ReferenceSession
@@ -31,8 +32,6 @@ SIZE_FACTORS = (1.6, 1.25, 1.0, 0.8)
 MARGIN_FACTORS = (0.5, 0.75, 1.0, 1.5)
 _DEPTH = 8.0  # mm, depth of the study if there is no measurement
 _N_LEVELS = 4
-
-ForceOf = Callable[[LimbModel, float], float]
 
 
 @dataclass(frozen=True)
@@ -57,9 +56,7 @@ class Variant:
 
 
 def study_site(
-    case: Case, site: Site, limb: Limb, position: tuple[float, float, float], options: MeshOptions, *,
-    out: Path, inputs: MeshInputs | None = None, force_of: ForceOf | None = None,
-    size_factors: tuple[float, ...] = SIZE_FACTORS, margin_factors: tuple[float, ...] = MARGIN_FACTORS,
+    inputs: MeshInputs, site: Site, limb: Limb, options: MeshOptions, *, out: Path,
     progress: Progress = SILENT,
 ) -> StageResult:  # fmt: skip
     """Compute the force at the deepest level for finer and coarser meshes and for smaller and larger models.
@@ -70,20 +67,19 @@ def study_site(
     own mesh (by extrapolation, with a safety factor) and of the error of its extent (relative to the largest
     model).
     """
+    case, position = inputs.case, site_position(site, inputs.segmented)
     probe = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
     with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
-        if inputs is not None:
-            inputs.note(writer, site)
+        inputs.note(writer, site)
         depth = full_depth(site)
         tissue = studied_tissue(site, out, writer)
-        solve = force_of or (lambda model, depth: reference_force(model, depth, tissue))
         found: list[Variant] = []
-        wanted = list(variants(options, size_factors, margin_factors))
+        wanted = list(variants(options))
         for number, (varied, changed) in enumerate(wanted):
             progress.event("task", name=f"{STAGE} {site.name}", done=number, total=len(wanted))
             made = site_model(limb, position, site.long_axis, probe, changed, name=site.name)
             laws = layer_laws(site, layers_in(made.model))
-            force = solve(with_layer_laws(made.model, laws), depth)
+            force = reference_force(with_layer_laws(made.model, laws), depth, tissue)
             found.append(
                 Variant(varied, changed.sizes.under_probe, changed.margin, made.quality.n_cells, force)
             )
@@ -92,16 +88,14 @@ def study_site(
     return writer.result
 
 
-def variants(
-    options: MeshOptions, size_factors: tuple[float, ...], margin_factors: tuple[float, ...]
-) -> Iterator[tuple[str, MeshOptions]]:
+def variants(options: MeshOptions) -> Iterator[tuple[str, MeshOptions]]:
     """Mesh options to study: the model itself first, then other sizes, then other margins."""
     yield "both", options
-    for factor in size_factors:
+    for factor in SIZE_FACTORS:
         if factor != 1.0:
             sizes: Sizes = options.sizes.finer(factor)
             yield "size", replace(options, sizes=sizes)
-    for factor in margin_factors:
+    for factor in MARGIN_FACTORS:
         if factor != 1.0:
             yield "margin", replace(options, margin=options.margin * factor)
 

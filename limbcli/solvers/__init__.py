@@ -12,7 +12,7 @@ KINDS = ("auto", "febio", "reference")
 ABSENT = "absent"  # identity of a requested solver that is not available
 
 
-def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None = None) -> Solver:
+def choose(kind: str = "auto", febio: Path | None = None) -> Solver:
     """The solver to use: "febio", "reference", or "auto" (FEBio where it is found).
 
     Raises
@@ -28,7 +28,7 @@ def choose(kind: str = "auto", febio: Path | None = None, *, threads: int | None
         raise CaseError(
             f"there is no solver {kind!r}", where="--solver", fix=f"use one of: {', '.join(KINDS)}"
         )
-    solver = FebioSolver(febio, threads=threads)
+    solver = FebioSolver(febio)
     if kind == "febio" or (kind == "auto" and is_named(febio)):
         solver.need()
         return solver

@@ -10,7 +10,7 @@ from collections.abc import Collection, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 
@@ -163,6 +163,7 @@ class ReferenceSession:
             If a level is not reached, or `model2` uses an unsupported feature; the session remains usable.
             `BudgetSpent` if its budget is spent before the required levels are reached.
         """
+        from limbcli.fem.analysis import RunEnd
         from limbcli.fem.elements.groups import differs_from_pointwise
         from limbcli.fem.supported import check_supported, refuse_limp
         from limbcli.fem.warm_start import Solved, WarmStart
@@ -172,13 +173,13 @@ class ReferenceSession:
         if model is not self.model:
             check_supported(model)
             refuse_limp(model)
+        moved = dict(weights or {})
         check_materials(wrt, model)
         if wrt and (path_dependent(model) or differs_from_pointwise(model)):
             return self._differenced(
-                model, wrt, weights or {}, field_gradients, records=records, stop=stop, start=start,
+                model, wrt, moved, field_gradients, stop, records=records, start=start,
                 keep_levels=keep_levels,
             )  # fmt: skip
-        moved = dict(weights or {})
         self._analysis.model = model
         values = parameter_values(model, wrt, moved)
         self._warm = self._warm or WarmStart()
@@ -191,11 +192,11 @@ class ReferenceSession:
         parameters = {(each[0], each[1]): law_parameter(each, moved.get(each), model) for each in wrt}
         watch = StateObserver(requested, parameters, self.body, of_fields=field_gradients)
         enough = stop.enough_force
-        snapshots = self._analysis.run(
-            watch, guesses=partial(self._guess, warm), required=stop.required, full_effort=stop.full_effort,
-            last=stop.last, patient=stop.patient,
-            ends=None if enough is None else lambda: watch.force() >= enough, limit=stop.budget,
+        end = RunEnd(
+            required=stop.required, full_effort=stop.full_effort, last=stop.last, patient=stop.patient,
+            reached=None if enough is None else lambda: watch.force() >= enough, limit=stop.budget,
         )  # fmt: skip
+        snapshots = self._analysis.run(watch, guesses=partial(self._guess, warm), end=end)
         self.model = model
         levels = Solved(
             values,
@@ -278,20 +279,18 @@ class ReferenceSession:
         wrt: Sequence[Parameter],
         weights: Mapping[Parameter, Array],
         fields: bool | Collection[str],
-        *,
-        records: bool,
         stop: StopWhen,
-        start: StartFrom,
-        keep_levels: bool,
+        **options: Any,
     ) -> SessionResult:
         """A solve with gradients by central differences with a relative parameter step of 1e-3.
 
         The result is limited to the levels that all of the solves reached.
+
+        options : of the solve of the model itself
         """
-        found = self.solve(
-            model, records=records or bool(fields), stop=stop, start=start, keep_levels=keep_levels
-        )
-        beside = replace(start, levels=found.levels)
+        options["records"] = options["records"] or bool(fields)
+        found = self.solve(model, stop=stop, **options)
+        beside = replace(options["start"], levels=found.levels)
         n = len(found.must_points.times)
         ends: dict[Parameter, tuple[SessionResult, SessionResult, float]] = {}
         try:

@@ -103,12 +103,15 @@ class CaseRun:
 
     def first(self) -> StartedCase:
         """Run `segment`, which all sites depend on."""
-        from limbcli.stages.segment import edited_labels, segment
+        from limbcli.stages.segment import SegmentOptions, edited_labels, segment
 
         edited = [path for path in [edited_labels(self.out)] if path]
         hints = self._requested("segment", None, without=("seeds", "threshold") if edited else ())
         key = key_of(code_hash(), self.case.subject, *edited, *parts_of(hints))
-        done = self._stage("segment", None, key, lambda: segment(self.case, **self._common(), **hints))
+        options = options_of(SegmentOptions, hints)
+        done = self._stage(
+            "segment", None, key, lambda: segment(self.case, options=options, **self._common())
+        )
         if not done:
             for site in self.case.sites:
                 states = (FIT_STATES,) if site.states else ()

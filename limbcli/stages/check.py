@@ -15,8 +15,8 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.case import CASE_FILE, Site, read_case
-from limbcli.case.files import CaseFiles
 from limbcli.case.label_sources import read_label_sources
+from limbcli.case.reading import CaseReading
 from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
@@ -96,7 +96,7 @@ def _raw(folder: Path) -> Mapping[str, Any]:
 def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Reader]]:
     """Every existing file that case.toml names, with the function that checks it."""
     listed: list[tuple[object, Reader]] = []
-    files = CaseFiles.of(raw, folder)
+    files = CaseReading.of(raw, folder)
     imaging = raw.get("imaging")
     if isinstance(imaging, dict):
         listed += [(imaging.get("mri"), _read_mri)]
@@ -152,7 +152,7 @@ def _read_labels(raw: Mapping[str, Any], folder: Path) -> tuple[list[str], list[
     looked_at: list[str] = []
     problems: list[Problem] = []
     lines: list[str] = []
-    for source in read_label_sources(table, CaseFiles.of(raw, folder))[0]:
+    for source in read_label_sources(table, CaseReading.of(raw, folder)):
         from limbcli.imaging.label_files import label_lines
 
         looked_at.append(os.path.relpath(source.path, folder))

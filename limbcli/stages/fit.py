@@ -39,17 +39,17 @@ from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
 from limbcli.fitting.result import Identified, write_agreement, write_result, write_widening
-from limbcli.fitting.solve_again import checked_levels, forces_again
+from limbcli.fitting.solve_again import SolvedAgain, checked_levels
 from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.fitting.table import NAMES
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import no_narrower
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.two_step_fit import START_F_KAPPA, FittedStep, ForceDepth, two_step
+from limbcli.inference.two_step_fit import START_F_KAPPA, CurveMatch, FittedStep, ForceDepth, two_step
 from limbcli.measurement.indentation import Levels, level_warnings
 from limbcli.measurement.speed_noise import mean_speed_deviation
-from limbcli.model import Array, ElementMap, IntArray, LimbModel
+from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.numbers.interval_limits import Flag
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import note_templates, noted
@@ -119,16 +119,14 @@ def _fit_site(
     site = case.site(name)
     levels = levels_of(site, options.cycle)
     model = through_cycle(built_model(case, site, out, writer), levels, site)
-    data = force_depth_data(levels, site)
     stiffness, c_source, c = _tissue_c(model, levels, site, options, writer)
     kept = KeptSolves.of_site(out, name)
     curve, forward, cold = _first_solve(solver, model, c, kept, options, progress)
-    knots = forward.depths
+    match, knots = CurveMatch(curve, forward.depths, force_depth_data(levels, site)), forward.depths
     with contextlib.closing(curve):
         steps = two_step(
-            curve, knots, data,
-            tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
-        )  # fmt: skip
+            match, tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress
+        )
         theta = steps[-1].theta
         levels_there = forward.levels_at(theta)
         given = options.gain_deviation
@@ -140,11 +138,11 @@ def _fit_site(
         forces = curve(theta).values
         uncertainty = site_geometry_uncertainty(case, site, out, fitted, forces, writer, progress=progress)
         checked = checked_levels(fitted)
-        again = partial(forces_again, levels=levels_there, rows=checked, kept=kept, progress=progress)
+        again = SolvedAgain(levels=levels_there, rows=checked, kept=kept, progress=progress)
         changed: list[ChangedForces] = []
         if options.boundary_check:
             changed = changed_forces(
-                fitted, forces[checked], lambda each: again(each.of(fitted), "boundary check"),
+                fitted, forces[checked], lambda each: again.forces(each.of(fitted), "boundary check"),
                 progress=progress,
             )  # fmt: skip
         modes = boundary_modes(changed, knots[checked], knots)
@@ -159,8 +157,8 @@ def _fit_site(
             )
         elif options.intervals:
             search = _IntervalSearch(
-                curve=curve, knots=knots, data=data, known=known, steps=steps,
-                max_solves=options.max_interval_solves, progress=progress,
+                match=match, known=known, steps=steps, max_solves=options.max_interval_solves,
+                progress=progress,
             )  # fmt: skip
             # the wide ones first, as the solves at their ends serve the narrower ones too
             wide = search.intervals(modes) if len(modes) else None
@@ -168,8 +166,8 @@ def _fit_site(
             if wide is not None:
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
-            curve=curve, knots=knots, data=data, stiffness=known[-1], c_source=c_source, start=START,
-            steps=steps, intervals=intervals, cold_seconds=cold, why_no_intervals=why_none,
+            **vars(match), stiffness=known[-1], c_source=c_source, start=START, steps=steps,
+            intervals=intervals, cold_seconds=cold, why_no_intervals=why_none,
             modes=modes if len(modes) else None, gains=gains,
         )  # fmt: skip
         simulation = _write_fitted_run(fitted, solver, levels_there, writer, options, progress)
@@ -180,7 +178,7 @@ def _fit_site(
             writer.warnings.insert(0, one_state(site))
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
-        _write_checks(identified, fitted, checked, again, changed, writer, options, progress)
+        _write_checks(identified, fitted, again, changed, writer, options)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)
@@ -190,22 +188,20 @@ def _fit_site(
 
 
 def _write_checks(
-    found: Identified, fitted: LimbModel, checked: IntArray, again: Callable[[LimbModel, str], Array],
-    changed: Sequence[ChangedForces], writer: StageWriter, options: FitOptions, progress: Progress,
+    found: Identified, fitted: LimbModel, again: SolvedAgain, changed: Sequence[ChangedForces],
+    writer: StageWriter, options: FitOptions,
 ) -> None:  # fmt: skip
-    """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask.
-
-    again : (a changed model, the check) -> its forces at the levels `checked`
-    """
-    theta, depths = found.steps[-1].theta, found.knots[checked]
+    """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask."""
+    theta, depths = found.steps[-1].theta, found.knots[again.rows]
     if options.contact_check:
         write_contact_check(
-            fitted.contacts[0].penalty, found.curve(theta).values[checked], depths,
-            lambda penalty: again(with_penalty(fitted, penalty), "contact check"), writer, progress=progress,
+            fitted.contacts[0].penalty, found.curve(theta).values[again.rows], depths,
+            lambda penalty: again.forces(with_penalty(fitted, penalty), "contact check"), writer,
+            progress=again.progress,
         )  # fmt: skip
     if options.boundary_check:
         free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == Flag.IDENTIFIED}
-        parameters = partial(moved_parameters, found.curve, found.knots, found.data, theta, free, depths)
+        parameters = partial(moved_parameters, found, theta, free, depths)
         write_boundary_check(changed, depths, writer, parameters=parameters)
 
 
@@ -216,9 +212,7 @@ class _IntervalSearch:
     known : c and its uncertainty at each step; max_solves : greatest number of additional simulations
     """
 
-    curve: SolvedPoints
-    knots: Array
-    data: ForceDepth
+    match: CurveMatch
     known: Sequence[Stiffness]
     steps: Sequence[FittedStep]
     max_solves: int
@@ -229,13 +223,13 @@ class _IntervalSearch:
 
         modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
         """
-        self.curve.expect(self.max_solves + _FIRST_SOLVES)
+        self.match.curve.expect(self.max_solves + _FIRST_SOLVES)
         full = force_intervals(
-            self.curve, self.knots, self.data, self.known[-1], self.steps[-1].theta,
+            self.match, self.known[-1], self.steps[-1].theta,
             max_solves=self.max_solves, shape_modes=modes, progress=self.progress,
         )  # fmt: skip
         first = force_intervals(
-            self.curve, self.knots, self.data, self.known[0], self.steps[0].theta, free=(0,),
+            self.match, self.known[0], self.steps[0].theta, free=(0,),
             max_solves=_FIRST_SOLVES, shape_modes=modes,
         )  # fmt: skip
         return first, full

@@ -20,7 +20,7 @@ from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.options import COMPARISON
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.two_step_fit import FittedStep, two_step
+from limbcli.inference.two_step_fit import CurveMatch, FittedStep, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.units import kpa_from_mpa
@@ -108,8 +108,8 @@ def _compare_site(
             start = memory(START, (0, 1)).values
             sweep = [memory(np.array([f_kappa, 2.0]), (0, 1)).values[-1] for f_kappa in SWEEP]
             steps = two_step(
-                memory, curve.depths, data,
-                tolerance=options.tolerance, max_iterations=options.max_iterations, progress=progress,
+                CurveMatch(memory, curve.depths, data), tolerance=options.tolerance,
+                max_iterations=options.max_iterations, progress=progress,
             )  # fmt: skip
             forces = memory(steps[-1].theta).values
             linear = forces if not found else _forces_with(memory, found[0].steps[-1].theta, writer)

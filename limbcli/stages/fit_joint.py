@@ -46,7 +46,7 @@ from limbcli.inference.site_depth import RestSpeed, SiteMeasurement
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.speed_noise import mean_speed_deviation
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array, LimbModel, Value
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.provenance.requested_options import in_words
@@ -267,8 +267,14 @@ def _check_directions(
         deviation = stated_deviation(out, each.site)
         if deviation is not None:
             c, shape = float(found.best[0]), problem.solved_at(found.best)
+
+            def along(direction: Value, each: Measured = each, c: float = c) -> LawCurve:
+                density = each.site.density_kg_per_m3
+                own = law.along(direction)
+                return LawCurve(each.model, own, c=c, density_kg_per_m3=density, progress=progress)
+
             write_direction_uncertainty(
-                each.model, each.site, law, c, shape, deviation, writer, progress=progress
+                along, fibre_direction(each.model), shape, deviation, writer, site=each.site.name
             )
 
 

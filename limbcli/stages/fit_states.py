@@ -16,6 +16,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.fitting.exports import write_mat_file
+from limbcli.fitting.fitted_states import FittedStates
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.fitting.laws import FitLaw, first_shapes, law_named
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
@@ -127,10 +128,11 @@ def _fit_site(
     try:
         problem, found = identify(
             curve, law, plan, [state_data(site, model, each, curve.depths) for each in measured],
-            c0=c0, gain=gain_deviation(model, given, studied=studied), max_rounds=states.max_rounds,
+            gain=gain_deviation(model, given, studied=studied), max_rounds=states.max_rounds,
             progress=progress,
         )  # fmt: skip
-        write_states(writer, site, model, law, plan, curve, problem, found)
+        fit = FittedStates(site=site, law=law, plan=plan, curve=curve, problem=problem, found=found)
+        write_states(fit, model, writer)
     finally:
         curve.close()
 
@@ -142,8 +144,8 @@ def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array)
 
 
 def identify(
-    curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, c0: float,
-    gain: float, max_rounds: int, progress: Progress = SILENT,
+    curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, gain: float,
+    max_rounds: int, progress: Progress = SILENT,
 ) -> tuple[StatesProblem, Intervals]:  # fmt: skip
     """Run the first simulations, then the fit with its profile likelihoods.
 
@@ -157,9 +159,9 @@ def identify(
     ]
     task = StatesTask(
         curve=memory, even_speed=curve.even_speed, states=states, shape=law.shape,
-        stretches=plan.parameters, c0=c0, gain_deviation=gain, beside_layers=curve.law.has_ratio,
+        stretches=plan.parameters, c0=curve.c, gain_deviation=gain, beside_layers=curve.law.has_ratio,
     )  # fmt: skip
-    return states_fit(task, starts(c0, law, plan), max_rounds=max_rounds, progress=progress)
+    return states_fit(task, starts(curve.c, law, plan), max_rounds=max_rounds, progress=progress)
 
 
 def first_simulations(

@@ -66,7 +66,7 @@ from limbcli.stages.limb_model.element_values import (
 )
 from limbcli.stages.limb_model.hand_over import LimbFiles, write_limb
 from limbcli.stages.segmenting.possible_sites import warnings_of_limb
-from limbcli.stiffness_field import LABELS, Draws, write_draws
+from limbcli.stiffness_field import LABELS, Draws, limb_coordinates, write_draws
 from limbcli.stiffness_field.draws import N_DRAWS
 
 STAGE = "limb"
@@ -191,10 +191,8 @@ def _field(
     """The stiffness field through the case's sites; None if c is given by hand or no site says anything."""
     field = None
     if options.c_kpa is None:
-        found = case_field(
-            case, chain, skin, list(bones.values()), frame.axis, writer,
-            cohort=options.cohort, location=options.cohort_location,
-        )  # fmt: skip
+        limb = limb_coordinates(skin, list(bones.values()), frame.axis, where=case.subject)
+        found = case_field(case, chain, limb, writer, cohort=options.cohort, location=options.cohort_location)
         field = found if found.results.sites or found.results.maps else None
     if options.cohort is not None and field is None:
         raise CaseError(

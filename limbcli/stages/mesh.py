@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from limbcli.model.npz_file import save_model
 from limbcli.numbers.mesh_bounds import ELEMENTS, FAR_SIZE_MM, MARGIN_MM, SIZE_MM
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import CaseInputs
-from limbcli.provenance.requested_options import requested_of
+from limbcli.provenance.requested_options import requested_by_options
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.element_fibres import with_fibres, write_fibres
@@ -52,18 +51,31 @@ from limbcli.site_model.site_layers import (
 from limbcli.stages.segmenting.possible_sites import warnings_of_limb
 
 
-def mesh(
-    case: Case, *, out: Path, sites: list[str] | None = None, element: str | None = None,
-    size: float | None = None, far_size: float | None = None, margin: float | None = None,
-    skin_layer: Thickness | None = None, fat_layer: Thickness | None = None,
-    place: tuple[float, float] | None = None, study: bool = False, progress: Progress = SILENT,
-) -> list[StageResult]:  # fmt: skip
-    """Mesh each site (all, or those named): model.npz, mesh.vtu, mesh.png.
+@dataclass(frozen=True, kw_only=True)
+class MeshRequest:
+    """What a mesh is to be where the case does not decide; None: as the case has it.
 
-    element, margin : override the case's; size, far_size : edge lengths (mm) under the probe, far from it
+    element, margin : instead of the case's; size, far_size : edge lengths (mm) under the probe, far from it
     skin_layer, fat_layer : thickness (mm) of separate blocks that follow the skin, 0 for none, or
         "mri" for the thickness found by `segment`; None: according to the case's `[site.layers]`
     place : (angle in degrees, height in mm) around and along the limb, instead of one site's place
+    """
+
+    element: str | None = None
+    size: float | None = None
+    far_size: float | None = None
+    margin: float | None = None
+    skin_layer: Thickness | None = None
+    fat_layer: Thickness | None = None
+    place: tuple[float, float] | None = None
+
+
+def mesh(
+    case: Case, *, out: Path, sites: list[str] | None = None, options: MeshRequest = MeshRequest(),
+    study: bool = False, progress: Progress = SILENT,
+) -> list[StageResult]:  # fmt: skip
+    """Mesh each site (all, or those named): model.npz, mesh.vtu, mesh.png.
+
     study : also run a refinement study of each site (its result follows the site's)
 
     Raises
@@ -73,14 +85,13 @@ def mesh(
     MeshError
         If no volume mesh of sufficient quality could be made.
     """
-    chosen = case.selected(sites)
+    chosen, place = case.selected(sites), options.place
     if place is not None and len(chosen) != 1:
         raise CaseError("a place was given for several sites", where="--at", fix="name one with --site")
     if place is not None and not np.isfinite(place).all():
         raise CaseError(f"--at is {place}", where="--at", fix="give an angle in degrees and a height in mm")
-    given: dict[str, Any] = {"element": element, "size": size, "far_size": far_size, "margin": margin}
-    mesh_options(case, **given)
-    thickness = Layering(skin_layer, fat_layer, seen=place is None)
+    mesh_options(case, options)
+    thickness = Layering(options.skin_layer, options.fat_layer, seen=place is None)
     layered = tuple(site.name for site in chosen if thickness.is_from_images(site))
     segmented = Chain(case, out).result("segment", about=layered)
     progress.event("note", text="reading and repairing the surfaces")
@@ -90,33 +101,28 @@ def mesh(
         chosen = (
             replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
         )
-    requested = requested_of({**given, "skin_layer": skin_layer, "fat_layer": fat_layer, "place": place})
+    requested = requested_by_options(options)
     results = []
     for each in chosen:
         of_case = CaseInputs(case)
         inputs, site = MeshInputs(of_case, segmented, requested, each.name in layered), of_case.site(each)
-        options = mesh_options(of_case.case, **given)
-        layers, sources = thickness.of(site, segmented, size=options.sizes.under_probe)
-        own = replace(options, layers=layers)
+        own = mesh_options(of_case.case, options)
+        layers, sources = thickness.of(site, segmented, size=own.sizes.under_probe)
+        own = replace(own, layers=layers)
         results.append(mesh_site(inputs, site, limb, own, sources, out, progress))
         if study:
-            position = site_position(site, segmented)
-            studied = study_site(
-                inputs.case, site, limb, position, own, out=out, inputs=inputs, progress=progress
-            )
-            results.append(studied)
+            results.append(study_site(inputs, site, limb, own, out=out, progress=progress))
     return results
 
 
-def mesh_options(
-    case: Case, *, element: str | None, size: float | None, far_size: float | None, margin: float | None
-) -> MeshOptions:
+def mesh_options(case: Case, request: MeshRequest) -> MeshOptions:
     """The case's mesh options, overridden by those of this run."""
+    element, size, far_size = request.element, request.size, request.far_size
     if element not in (None, *ELEMENTS):
         raise CaseError(f"--element is {element!r}", where=case.subject, fix=f"give {' or '.join(ELEMENTS)}")
     usual = Sizes()
     sizes = Sizes(under_probe=size or usual.under_probe, far=far_size or max(usual.far, size or 0.0))
-    margin = case.model.margin if margin is None else float(margin)
+    margin = case.model.margin if request.margin is None else float(request.margin)
     for name, value, low, high in (
         ("--size-mm", sizes.under_probe, *SIZE_MM),
         ("--far-size-mm", sizes.far, sizes.under_probe, FAR_SIZE_MM[1]),

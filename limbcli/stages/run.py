@@ -64,11 +64,11 @@ def run(
     SolveError
         If the end of the load is not reached, or the solver does not support a feature of the model.
     """
-    engine = _keeping_plot(choose(solver, febio), options)
+    runner = _Runner.of(solver, febio, options, progress)
     results = []
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
-        results.append(_run_site(case, site, out, engine, options, progress))
+        results.append(_run_site(case, site, out, runner))
     return results
 
 
@@ -86,25 +86,36 @@ def run_file(
         As in `run`.
     """
     _refuse_results_of_a_case(out, feb)
-    engine = _keeping_plot(choose(solver, febio), options)
+    runner = _Runner.of(solver, febio, options, progress)
     model = runnable(feb)
     progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
     with open_stage(out, STAGE, subject=model_name(feb)) as writer:
-        _simulate(feb, model, writer, engine, options, progress)
+        _simulate(feb, model, writer, runner)
     shutil.rmtree(out / f"{STAGE}{FAILED}", ignore_errors=True)
     return writer.result
 
 
-def _keeping_plot(engine: Solver, options: RunOptions) -> Solver:
-    if not options.keep_plot:
-        return engine
-    if isinstance(engine, FebioSolver):
-        return replace(engine, keep_plot=True)
-    raise CaseError(
-        f"the {engine.name} solver writes no plot file (.xplt); only FEBio does",
-        where="--keep-plot",
-        fix="omit --keep-plot and take --vtu, or install FEBio and give its binary with --febio FILE",
-    )
+@dataclass(frozen=True, eq=False)
+class _Runner:
+    """What runs the models, and how."""
+
+    engine: Solver
+    options: RunOptions
+    progress: Progress
+
+    @staticmethod
+    def of(solver: str, febio: Path | None, options: RunOptions, progress: Progress) -> _Runner:
+        engine = choose(solver, febio)
+        if options.keep_plot:
+            if not isinstance(engine, FebioSolver):
+                raise CaseError(
+                    f"the {engine.name} solver writes no plot file (.xplt); only FEBio does",
+                    where="--keep-plot",
+                    fix="omit --keep-plot and take --vtu, or install FEBio and give its binary with "
+                    "--febio FILE",
+                )
+            engine = replace(engine, keep_plot=True)
+        return _Runner(engine, options, progress)
 
 
 def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
@@ -130,9 +141,7 @@ def model_name(feb: Path) -> str:
     return feb.name.removesuffix(".gz").removesuffix(".feb")
 
 
-def _run_site(
-    case: Case, site: Site, out: Path, engine: Solver, options: RunOptions, progress: Progress
-) -> StageResult:
+def _run_site(case: Case, site: Site, out: Path, runner: _Runner) -> StageResult:
     built = Chain(case, out).result("build-feb", site=site.name)
     feb = built.folder / MODEL_FILE
     if not feb.is_file():
@@ -144,16 +153,17 @@ def _run_site(
         levels = levels_of(site)
         writer.warnings.extend(built.warnings)
         writer.used_result(built, files=["feb"])
-        writer.data["asked"] = requested_by_options(options)
-        _simulate(feb, runnable(feb), writer, engine, options, progress, levels=levels, site=site)
+        writer.data["asked"] = requested_by_options(runner.options)
+        _simulate(feb, runnable(feb), writer, runner, levels=levels, site=site)
     shutil.rmtree(stage_folder(out, STAGE, site.name + FAILED), ignore_errors=True)
     return writer.result
 
 
 def _simulate(
-    source: Path, model: Runnable, writer: StageWriter, engine: Solver, options: RunOptions,
-    progress: Progress, *, levels: Levels | None = None, site: Site | None = None,
+    source: Path, model: Runnable, writer: StageWriter, runner: _Runner, *, levels: Levels | None = None,
+    site: Site | None = None,
 ) -> None:  # fmt: skip
+    engine, options, progress = runner.engine, runner.options, runner.progress
     feb = writer.file("feb", MODEL_FILE)
     feb.write_bytes(model.text)
     writer.used("model", source)

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -33,7 +32,7 @@ from limbcli.imaging.volume import Volume
 from limbcli.meshing.surfaces import Triangles
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
-from limbcli.provenance.requested_options import requested_of
+from limbcli.provenance.requested_options import requested_by_options
 from limbcli.results import StageResult, StageWriter, open_stage, read_result
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.label_maps import labelled_limb
@@ -50,17 +49,24 @@ Seed = tuple[str, tuple[float, float, float]]
 
 
 @dataclass(frozen=True, kw_only=True)
-class _Options:
-    seeds: tuple[Seed, ...]
-    smooth: float
-    threshold: float | None
-    limb: Side | None
-    accept_bones: bool
-    aop: bool
+class SegmentOptions:
+    """Options of `segment`.
 
-    def requested(self) -> dict[str, Any]:
-        usual = {"smooth": SMOOTH, "accept_bones": False, "aop": False}
-        return requested_of({**vars(self), "seeds": self.seeds or None}, usual)
+    seeds : ("bone", (x, y, z)) adds the bone whose marrow contains the point (patient LPS, mm);
+        ("soft", (x, y, z)) states that a region taken for bone at the point is not bone
+    smooth : standard deviation of the surfaces' smoothing, mm
+    threshold : signal that separates air from skin, image units (HU on CT)
+    limb : which of two limbs in the image; None: that stated by the case
+    accept_bones : of bones outside the skin, keep what is inside, instead of refusing them
+    aop : also write skin.aop, the skin as radii about an upright axis
+    """
+
+    seeds: tuple[Seed, ...] = ()
+    smooth: float = SMOOTH
+    threshold: float | None = None
+    limb: Side | None = None
+    accept_bones: bool = False
+    aop: bool = False
 
     def hints(self, limb: Side) -> SegmentationHints:
         """Hints for the segmentation; limb : side stated by the case, used if no other was requested."""
@@ -73,24 +79,14 @@ class _Options:
 
 
 def segment(
-    case: Case, *, out: Path, seeds: Sequence[Seed] = (), smooth: float = SMOOTH,
-    threshold: float | None = None, limb: Side | None = None, accept_bones: bool = False, aop: bool = False,
-    fresh: bool = False, progress: Progress = SILENT,
+    case: Case, *, out: Path, options: SegmentOptions = SegmentOptions(), fresh: bool = False,
+    progress: Progress = SILENT,
 ) -> StageResult:  # fmt: skip
     """Find skin, bones, fat and markers; write label map, surfaces and contact sheet.
 
     In order of precedence the source is a label map edited by the user in the output folder, the
     case's surfaces, its label map, and its image series, which is segmented.
 
-    Parameters
-    ----------
-    seeds : ("bone", (x, y, z)) adds the bone whose marrow contains the point (patient LPS, mm);
-        ("soft", (x, y, z)) states that a region taken for bone at the point is not bone
-    smooth : standard deviation of the surfaces' smoothing, mm
-    threshold : signal that separates air from skin, image units (HU on CT)
-    limb : which of two limbs in the image; None: that stated by the case
-    accept_bones : of bones outside the skin, keep what is inside, instead of refusing them
-    aop : also write skin.aop, the skin as radii about an upright axis
     fresh : ignore an edited label map and start again
 
     Raises
@@ -99,22 +95,19 @@ def segment(
         If the input cannot be used; the message gives the reason and the remedy.
     """
     progress.event("stage", name="segment")
-    options = _Options(
-        seeds=_checked(seeds, case), smooth=smooth, threshold=threshold, limb=limb,
-        accept_bones=accept_bones, aop=aop,
-    )  # fmt: skip
+    _check_seeds(options.seeds, case)
     edited = None if fresh else edited_labels(out)
     if edited is not None:
         _check_edited(case, out, edited)
     with open_stage(out, "segment", subject=case.subject) as writer:
-        writer.data["asked"] = options.requested()
+        writer.data["asked"] = requested_by_options(options)
         case = noted(case, writer)
         if edited is not None:
             _from_edited(case, edited, options, writer, progress)
         elif case.imaging.assumed:
-            from_assumed(case, writer, accept_bones=accept_bones)
+            from_assumed(case, writer, accept_bones=options.accept_bones)
         elif case.imaging.skin is not None:
-            from_surfaces(case, writer, accept_bones=accept_bones)
+            from_surfaces(case, writer, accept_bones=options.accept_bones)
         elif case.imaging.label_maps:
             _from_labels(case, options, writer, progress)
         elif case.imaging.mri is not None:
@@ -125,12 +118,12 @@ def segment(
                 where=str(case.folder / "case.toml"),
                 fix="set mri, labels, or skin and bones under [imaging]",
             )
-        if aop:
+        if options.aop:
             write_skin_aop(case, writer)
     return writer.result
 
 
-def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
+def _check_seeds(seeds: Sequence[Seed], case: Case) -> None:
     for name, place in seeds:
         if name not in ("bone", "soft") or not np.isfinite(place).all():
             raise CaseError(
@@ -138,7 +131,6 @@ def _checked(seeds: Sequence[Seed], case: Case) -> tuple[Seed, ...]:
                 where=f"{case.subject}, --seed",
                 fix="write bone=x,y,z or soft=x,y,z with patient LPS mm",
             )
-    return tuple(seeds)
 
 
 def edited_labels(out: Path) -> Path | None:
@@ -179,7 +171,9 @@ def _check_edited(case: Case, out: Path, path: Path) -> None:
         raise CaseError(what, where=str(path), fix=f"{aside}, or give another --out")
 
 
-def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
+def _from_series(
+    case: Case, path: Path, options: SegmentOptions, writer: StageWriter, progress: Progress
+) -> None:
     series = read_image(path, progress=progress)
     modality = str(series.facts.get("modality", "MR"))
     hints = options.hints(case.limb)
@@ -191,7 +185,7 @@ def _from_series(case: Case, path: Path, options: _Options, writer: StageWriter,
     _write(case, series.volume, found, options, writer, progress)
 
 
-def _from_labels(case: Case, options: _Options, writer: StageWriter, progress: Progress) -> None:
+def _from_labels(case: Case, options: SegmentOptions, writer: StageWriter, progress: Progress) -> None:
     """Use label maps instead of the automatic segmentation."""
     writer.data["source"] = "labels"
     names = ", ".join(each.path.name for each in case.imaging.label_maps)
@@ -230,7 +224,9 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     return labels if agreement.own_grid else in_order_of(labels, series)
 
 
-def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter, progress: Progress) -> None:
+def _from_edited(
+    case: Case, path: Path, options: SegmentOptions, writer: StageWriter, progress: Progress
+) -> None:
     """Use the user's edit of an earlier label map."""
     writer.used("edited_labels", path)
     labels = read_label_file(path)
@@ -248,13 +244,18 @@ def _from_edited(case: Case, path: Path, options: _Options, writer: StageWriter,
     _write(case, image, found, options, writer, progress)
 
 
-def _ignored(options: _Options, writer: StageWriter) -> None:
+def _ignored(options: SegmentOptions, writer: StageWriter) -> None:
     if options.seeds or options.threshold is not None:
         writer.warnings.append("--seed and --threshold have no effect on a given label map")
 
 
 def _write(
-    case: Case, image: Volume, found: Segmentation, options: _Options, writer: StageWriter, progress: Progress
+    case: Case,
+    image: Volume,
+    found: Segmentation,
+    options: SegmentOptions,
+    writer: StageWriter,
+    progress: Progress,
 ) -> None:
     if not found.bones:
         raise CaseError(

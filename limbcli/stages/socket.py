@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.case import Case
-from limbcli.case.files import CaseFiles
+from limbcli.case.reading import CaseReading
 from limbcli.case.socket import SocketInput, read_socket
 from limbcli.errors import CaseError, SolveError
 from limbcli.errors.problems import raise_errors
@@ -126,8 +126,9 @@ def socket(
 
 
 def _given(case: Case, options: SocketOptions) -> SocketInput:
-    given, problems = read_socket(case.raw, CaseFiles.of(case.raw, case.folder))
-    raise_errors(problems, CaseError)
+    reading = CaseReading.of(case.raw, case.folder)
+    given = read_socket(case.raw, reading)
+    raise_errors(reading.problems, CaseError)
     if given is None:
         raise CaseError(
             "the case gives no socket",

@@ -14,7 +14,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -35,7 +34,7 @@ from limbcli.site_model.indentation_model import with_penalty
 from limbcli.site_model.site_layers import MRI, held_layers
 from limbcli.stages.expect import keep_expected
 from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
-from limbcli.stages.simulated_subjects.indent import indent
+from limbcli.stages.simulated_subjects.indent import Press, indent
 from limbcli.stages.simulated_subjects.known_stretches import check_stretches, true_states
 from limbcli.stages.simulated_subjects.synth_case import (
     borders_at_rest,
@@ -169,7 +168,7 @@ def _segmented(case: Case, out: Path, progress: Progress) -> None:
 
 
 def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progress: Progress) -> LimbModel:
-    from limbcli.stages.mesh import mesh
+    from limbcli.stages.mesh import MeshRequest, mesh
 
     place = stage_folder(folder, "mesh", site.name)
     there = Chain(case, folder).present("mesh", site=site.name)
@@ -180,10 +179,10 @@ def _meshed(case: Case, site: Site, folder: Path, options: SynthOptions, progres
             fix="omit --element or --same-mesh",
         )
     if there is None:
-        sizes: dict[str, Any] = {}
+        request = MeshRequest(element=options.element)
         if not options.same_mesh:
-            sizes = {"size": options.size, "far_size": options.far_size, "margin": options.margin}
-        mesh(case, out=folder, sites=[site.name], element=options.element, progress=progress, **sizes)
+            request = replace(request, size=options.size, far_size=options.far_size, margin=options.margin)
+        mesh(case, out=folder, sites=[site.name], options=request, progress=progress)
     return load_model(place / "model.npz")
 
 
@@ -217,19 +216,16 @@ def _measure_site(
     for k, state in enumerate(true_states(site, options.stretches) or [None]):
         if state is not None:
             progress.event("note", text=f"state {state.name}")
-        true = indent(
-            model,
-            options.tissue,
-            protocol=protocol,
-            window=options.window,
-            density_kg_per_m3=site.density_kg_per_m3,
+        press = Press(
+            meshed=model, tissue=options.tissue, progress=progress,
             tolerance=_FINE_TOLERANCE if options.noise == 0 else _TOLERANCE,
-            progress=progress,
             change=_change([contact, *(each.in_model for each in hidden)]),
-            change_for_waves=_change(for_waves),
-            borders=borders,
             stretch=None if state is None else (state.along, state.around),
-        )
+        )  # fmt: skip
+        true = indent(
+            press, protocol=protocol, window=options.window, density_kg_per_m3=site.density_kg_per_m3,
+            change_for_waves=_change(for_waves), borders=borders,
+        )  # fmt: skip
         readings = read_off(true, law, options, number, state=None if state is None else k)
         found.append(
             SyntheticSite(site=site.name, true=true, readings=readings, law=law, facts=facts, state=state)

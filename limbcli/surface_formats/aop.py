@@ -32,6 +32,8 @@ _SIDES = {"LEFT": "left", "RIGHT": "right", "NONE": ""}
 _INSET = 0.5  # mm between the ends of a limb and the outermost slices that are written
 _TIP = 0.05  # share of its length that counts as the tip
 _LEAST = 0.5  # share of the slices that have to surround the axis
+_STEP = 3.0  # mm, largest distance of the slices that are written
+_N_ANGLES = 72  # radii of a slice
 _MOST = 100_000  # angles, heights or landmarks of a plausible file
 
 
@@ -179,17 +181,15 @@ class _Lines:
 
 
 def aop_limb(
-    points: Array, triangles: IntArray, *, side: str = "", landmarks: Mapping[str, Array] | None = None,
-    n_angles: int = 72, step_mm: float = 3.0,
-) -> tuple[AopLimb, Array]:  # fmt: skip
+    points: Array, triangles: IntArray, *, side: str = "", landmarks: Mapping[str, Array] | None = None
+) -> tuple[AopLimb, Array]:
     """A surface as radii about an upright axis, and the point (3,), mm, of the axis at height 0.
 
     The axis is that through the tip or through the whole limb, whichever more slices surround. What lies
     beyond these slices is left out: the last mm of a tip beside it, an uneven upper rim.
 
     points : (n, 3), mm, z along the limb to proximal, y to the back; triangles : (m, 3); landmarks : points
-    (n, 3) on the surface by name; step_mm : largest distance of the slices. Where a slice has several
-    crossings at an angle, the outermost counts.
+    (n, 3) on the surface by name. Where a slice has several crossings at an angle, the outermost counts.
 
     Raises
     ------
@@ -198,12 +198,12 @@ def aop_limb(
     """
     low, high = float(points[:, 2].min()), float(points[:, 2].max())
     inset = min(_INSET, 0.01 * (high - low))
-    n_heights = max(2, int(np.ceil((high - low) / step_mm)) + 1)
+    n_heights = max(2, int(np.ceil((high - low) / _STEP)) + 1)
     heights = np.linspace(low + inset, high - inset, n_heights)
-    angles = np.arange(n_angles, dtype=np.float64) * 360.0 / n_angles
-    directions = _placed(np.ones(n_angles), angles, np.zeros(n_angles))[:, :2]
+    angles = np.arange(_N_ANGLES, dtype=np.float64) * 360.0 / _N_ANGLES
+    directions = _placed(np.ones(_N_ANGLES), angles, np.zeros(_N_ANGLES))[:, :2]
     tip = points[points[:, 2] < low + _TIP * (high - low)][:, :2].mean(axis=0)
-    best, axis, radii = slice(0, 0), np.zeros(3), np.zeros((0, n_angles))
+    best, axis, radii = slice(0, 0), np.zeros(3), np.zeros((0, _N_ANGLES))
     for middle in (tip, _middle(points[triangles])):
         corners = points[triangles] - np.append(middle, 0.0)
         rows = np.array([_outermost(_section(corners, height), directions) for height in heights])

@@ -13,7 +13,7 @@ import limbcli
 from limbcli.cli.app import COMMANDS, app
 from limbcli.errors import CaseError
 from limbcli.options import Argument, arguments_of
-from limbcli.stages.mesh import mesh_options
+from limbcli.stages.mesh import MeshRequest, mesh_options
 from tests.case.test_case_text import two_sites
 
 FUNCTIONS = {name: name.replace("-", "_") for name in COMMANDS} | {"phantom": "make_phantom"}
@@ -83,10 +83,10 @@ def test_every_size_within_the_bounds_of_help_is_taken(tmp_path: Path, name: str
     case = limbcli.Case.open(two_sites(tmp_path / "case"))
     argument = name.removesuffix("_mm")
     for bound in arguments_of(inspect.unwrap(limbcli.mesh))[name].option.bounds:
-        given = {"element": None, "size": None, "far_size": None, "margin": None, argument: bound}
+        given = {argument: bound}
         if name == "far_size_mm":
             given["size"] = 0.8
-        assert mesh_options(case, **given)  # type: ignore[arg-type]
+        assert mesh_options(case, MeshRequest(**given))  # type: ignore[arg-type]
 
 
 def test_the_documentation_states_what_the_option_states():

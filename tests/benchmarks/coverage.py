@@ -24,7 +24,7 @@ from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.two_step_fit import ForceDepth, two_step
+from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
@@ -59,15 +59,15 @@ def one_seed(seed, model, truth, forces, depths, gain):
     simulated = np.unique(depth[depth > least_level()])
     start = indentation_model(model, schedule(list(simulated)), c=c, f_kappa=100.0, m=2.0)
     clock, work = time.perf_counter(), time.process_time()
-    curve = ReferenceCurve(start, c=c, threads=1)
+    curve = ReferenceCurve(start, c=c)
     memory = SolvedPoints(curve)
     memory(START, (0, 1))
     cold, cold_work = time.perf_counter() - clock, time.process_time() - work
-    steps = two_step(memory, curve.depths, data)
+    steps = two_step(CurveMatch(memory, curve.depths, data))
     identified, fit_work = time.perf_counter() - clock, time.process_time() - work
     n_fit = memory.n_solves
     stiffness = Stiffness(c, 2 * SPEED_SD, gain_deviation(model, gain, f_kappa=float(steps[-1].theta[0])))
-    found = force_intervals(memory, curve.depths, data, stiffness, steps[-1].theta)
+    found = force_intervals(CurveMatch(memory, curve.depths, data), stiffness, steps[-1].theta)
     curve.close()
     row = {
         "c_kpa": 1e3 * c, "f_kappa": steps[-1].theta[0], "m": steps[-1].theta[1],

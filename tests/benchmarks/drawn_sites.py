@@ -271,9 +271,7 @@ def pressed(meshed: LimbModel, tissue: KnownTissue, hidden: Change | None, deepe
         hard = with_penalty(model, PENALTY)
         return hard if hidden is None else hidden(hard)
 
-    press = Press(
-        meshed=meshed, tissue=tissue, spacing=1.0, tolerance=TOLERANCE, progress=SILENT, change=change
-    )
+    press = Press(meshed=meshed, tissue=tissue, tolerance=TOLERANCE, progress=SILENT, change=change)
     model, found = press.until(STEPS[0] * (MOST_LEVELS + 1), deepest)
     offset = float(model.info.get("depth_offset_mm", 0.0))
     depth = np.r_[0.0, found.probe_depth(PROBE_BODY) + offset]

@@ -47,7 +47,7 @@ def built(axis, cells, depths):
 
 
 def curve_of(axis, cells, depths):
-    return LawCurve(built(axis, cells, depths), LAW.along(axis), c=C, density_kg_per_m3=DENSITY, threads=1)
+    return LawCurve(built(axis, cells, depths), LAW.along(axis), c=C, density_kg_per_m3=DENSITY)
 
 
 def rest_of(axis, cells):

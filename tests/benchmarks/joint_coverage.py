@@ -35,7 +35,7 @@ FORCE_SD, DEPTH_SD, SPEED_SD, DENSITY = 0.1, 0.3, 0.05, 1000.0
 
 def law_curve(model, c, depths):
     loaded = indentation_model(model, schedule(list(depths)), c=c, f_kappa=100.0, m=2.0)
-    return LawCurve(loaded, LAWS["ogden"], c=c, density_kg_per_m3=DENSITY, threads=1)
+    return LawCurve(loaded, LAWS["ogden"], c=c, density_kg_per_m3=DENSITY)
 
 
 def true_curves(model, truth, max_depth_mm, forces):

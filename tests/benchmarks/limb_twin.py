@@ -34,7 +34,7 @@ from limbcli.numbers.mesh_bounds import MARGIN_MM
 from limbcli.provenance.staleness import Chain
 from limbcli.site_model.mesh_study import full_depth, reference_force
 from limbcli.site_model.segmented_limb import named_surfaces, site_position
-from limbcli.stages.mesh import mesh_options
+from limbcli.stages.mesh import MeshRequest, mesh_options
 from tests.meshing.test_limb_twin import with_probe
 
 MODELS = ("limb", "limb held as the site", "site, cuts free", "site without cuts", "limb, corrected")
@@ -55,7 +55,7 @@ def main() -> None:
     skin, bones = named_surfaces(segmented)
     body = mend(skin, list(bones.values()))
     shape = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
-    options = mesh_options(case, element=asked.element, size=None, far_size=None, margin=asked.margin_mm)
+    options = mesh_options(case, MeshRequest(element=asked.element, margin=asked.margin_mm))
     places = {(site_position(each, segmented), str(each.long_axis)): each for each in case.sites}
     whole = LimbMeshOptions(element=options.element, nodes=asked.nodes, distal_cut=True)
     if asked.site_size_mm:

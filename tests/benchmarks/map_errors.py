@@ -41,7 +41,7 @@ from limbcli.effects.far_side import FAR_SIDE
 from limbcli.model import Array, IntArray
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
-from limbcli.stages.segment import segment
+from limbcli.stages.segment import SegmentOptions, segment
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
@@ -68,7 +68,7 @@ def prepared_site(site: str, folder: Path) -> Prepared:
     """As `diagnose` prepares it; segmented and meshed into `folder` unless it is."""
     case, out = Case.open(SITES / site), folder / site
     if not (out / "mesh").is_dir():
-        segment(case, out=out, accept_bones=True)
+        segment(case, out=out, options=SegmentOptions(accept_bones=True))
         mesh(case, out=out)
     effects = {each.name: each for each in EFFECTS if each.kind != "numerical"}
     return prepare(case, case.sites[0], effects, out=out, mesh=WorkingMesh(), progress=SILENT)

@@ -27,7 +27,7 @@ from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import load_model
 from limbcli.site_model.indentation_model import indentation_model, starting_depth
 from limbcli.solvers.session import ReferenceSession
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.segment import segment
 
 CASE = Path(__file__).resolve().parents[2] / "cases" / "paper-parameters"
@@ -79,7 +79,7 @@ def depths_for(model: LimbModel, tissue: Published) -> Array:
 
 def models(case: Case, out: Path) -> Iterator[tuple[str, LimbModel]]:
     segment(case, out=out)
-    for result in mesh(case, out=out, element="tet4"):
+    for result in mesh(case, out=out, options=MeshRequest(element="tet4")):
         yield str(result.site), load_model(result.path("model"))
 
 

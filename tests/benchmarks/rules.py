@@ -47,7 +47,7 @@ from limbcli.effects import EFFECTS
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
-from limbcli.stages.segment import segment
+from limbcli.stages.segment import SegmentOptions, segment
 from tests.benchmarks.seeded_rows import made, succeeded
 
 RULES, LEVEL, CREDIBLE = ("posterior", "bic", "halves"), 0.05, 0.95
@@ -56,7 +56,7 @@ RULES, LEVEL, CREDIBLE = ("posterior", "bic", "halves"), 0.05, 0.95
 def diagnosed(case: Case, out: Path) -> tuple[Diagnosis, Search]:
     """The diagnosis of all sites of a case as one place, and its search."""
     if not (out / "mesh").is_dir():
-        segment(case, out=out, accept_bones=True)
+        segment(case, out=out, options=SegmentOptions(accept_bones=True))
         mesh(case, out=out)
     effects = {each.name: each for each in EFFECTS if each.kind != "numerical"}
     prepared = [

@@ -31,7 +31,7 @@ if __package__ in (None, ""):
     sys.path.insert(0, str(Path(__file__).resolve().parents[2]))  # run as a script
 
 from limbcli.case import Case
-from limbcli.case.files import CaseFiles
+from limbcli.case.reading import CaseReading
 from limbcli.case.socket import read_socket
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
@@ -52,9 +52,10 @@ FORCE = LogRecord("rigid_body", ("Fz", "z"), "force.txt", SOCKET)
 def written(options: argparse.Namespace, feb: Path) -> None:
     """socket.feb of a case with FEBio's records of pressures and of the socket."""
     case = Case.open_images(options.case)
-    given, problems = read_socket(case.raw, CaseFiles.of(case.raw, case.folder))
+    reading = CaseReading.of(case.raw, case.folder)
+    given = read_socket(case.raw, reading)
     if given is None:
-        raise SystemExit("\n".join(map(str, problems)) or f"{options.case} gives no [socket]")
+        raise SystemExit("\n".join(map(str, reading.problems)) or f"{options.case} gives no [socket]")
     if options.friction is not None:
         given = replace(given, friction=options.friction)
     together = put_together(

@@ -22,8 +22,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limbcli.case import Case
-from limbcli.case.files import CaseFiles
-from limbcli.case.socket import read_socket
+from limbcli.case.socket import socket_of
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.surfaces import read_surface
 from limbcli.model import Array, LimbModel
@@ -168,7 +167,7 @@ def drawn_truth(of: Limb, rng: np.random.Generator) -> Truth:
 
 
 def one(of: Limb, seed: int, work: Path) -> dict:
-    given, _ = read_socket(of.case.raw, CaseFiles.of(of.case.raw, of.case.folder))
+    given = socket_of(of.case)
     drawn_limb, centroids = drawn_truth(of, np.random.default_rng(seed)), of.centroids
     truth, m, friction, pose = drawn_limb.log_c, drawn_limb.m, drawn_limb.friction, drawn_limb.pose
     field = stiffness_field(limb_coordinates(of.skin, of.bones, of.axis), drawn_limb.sites)

@@ -29,7 +29,7 @@ from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
 from limbcli.inference.curve_minimum import lowest_on_grid
-from limbcli.inference.derived import derived_interval
+from limbcli.inference.derived import SearchRange, derived_interval
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
@@ -38,7 +38,7 @@ from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.stages.fit_states import first_simulations, knots_to, starts
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.segment import segment
 from tests.benchmarks.seeded_rows import counted, held, made, succeeded
 
@@ -48,7 +48,7 @@ GRID = np.linspace(np.log(0.35), np.log(1.8), 241)
 
 def state_curve(model, law, c, depths):
     loaded = indentation_model(model, schedule([1.0, 2.0]), c=c, f_kappa=100.0, m=2.0)
-    return StateCurve(loaded, LAWS[law], ("along",), depths, c=c, density_kg_per_m3=DENSITY, threads=1)
+    return StateCurve(loaded, LAWS[law], ("along",), depths, c=c, density_kg_per_m3=DENSITY)
 
 
 def true_levels(model, truth, given, forces, max_depth_mm):
@@ -100,7 +100,7 @@ def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
         return lowest_on_grid(GRID, speeds) + float(np.log(theta[3]))
 
     least = derived_interval(
-        problem.objective(), problem.parameters, found.fit, lowest, low=-1.5, high=0.7, pace=0.04,
+        problem.objective(), problem.parameters, found.fit, lowest, SearchRange(-1.5, 0.7, 0.04),
         scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
     row = {"n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}
@@ -133,7 +133,9 @@ def meshed(case_folder, element, sizes):
         out = Path(folder)
         segment(case, out=out)
         for size in sizes:
-            place = mesh(case, out=out, sites=[case.sites[0].name], element=element, size=size)[0].folder
+            place = mesh(
+                case, out=out, sites=[case.sites[0].name], options=MeshRequest(element=element, size=size)
+            )[0].folder
             models.append(load_model(place / "model.npz"))
     return models
 

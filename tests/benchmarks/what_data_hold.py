@@ -55,7 +55,7 @@ from limbcli.model import Array, IntArray
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT
 from limbcli.stages.mesh import mesh
-from limbcli.stages.segment import segment
+from limbcli.stages.segment import SegmentOptions, segment
 from tests.benchmarks.seeded_rows import made, succeeded
 
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
@@ -469,7 +469,7 @@ def main() -> None:
     def one(job: tuple[Case, Site]) -> list[dict[str, Any]]:
         case, out = job[0], options.out / job[0].folder.name
         if not (out / "mesh").is_dir():
-            segment(case, out=out, accept_bones=True)
+            segment(case, out=out, options=SegmentOptions(accept_bones=True))
             mesh(case, out=out)
         return list(of_site(*job, out))
 

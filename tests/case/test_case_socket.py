@@ -7,13 +7,14 @@ from typing import Any
 
 import pytest
 
-from limbcli.case.files import CaseFiles
+from limbcli.case.reading import CaseReading
 from limbcli.case.socket import read_socket
 
 
 def read(folder: Path, **table: Any):
     (folder / "socket.stl").touch()
-    return read_socket({"socket": table}, CaseFiles(folder))
+    reading = CaseReading(folder)
+    return read_socket({"socket": table}, reading), reading.problems
 
 
 def test_an_empty_table_is_a_socket_of_the_skins_shape(tmp_path: Path):
@@ -35,7 +36,8 @@ def test_a_liner_and_a_load_at_the_knee_are_in_internal_units(tmp_path: Path):
 
 
 def test_a_case_without_the_table_has_no_socket(tmp_path: Path):
-    assert read_socket({}, CaseFiles(tmp_path)) == (None, [])
+    reading = CaseReading(tmp_path)
+    assert (read_socket({}, reading), reading.problems) == (None, [])
 
 
 @pytest.mark.parametrize(

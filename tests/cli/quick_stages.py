@@ -25,6 +25,7 @@ from limbcli.results import open_stage, read_result
 
 FILES = {"report": "report.html", "build-feb": "model.feb"}
 STAGES = ("segment", "mesh", "build-feb", "run", "fit", "report")
+OPTIONS = ("FitOptions", "MeshRequest", "RunOptions", "SegmentOptions", "TissueOptions")
 EARLIER = {"mesh": "segment", "build-feb": "mesh", "run": "build-feb", "fit": "run"}
 
 
@@ -93,7 +94,7 @@ def dask_setup(worker: Any) -> None:
     for stage in STAGES:
         name = stage.replace("-", "_")
         own = {name: quick(stage), "edited_labels": lambda out: None}
-        options = {"FitOptions": Options, "TissueOptions": Options, "RunOptions": Options}
+        options = dict.fromkeys(OPTIONS, Options)
         sys.modules[f"limbcli.stages.{name}"] = SimpleNamespace(**own, **options)  # type: ignore[assignment]
     sys.modules["limbcli.stages.diagnose"] = SimpleNamespace(  # type: ignore[assignment]
         diagnose=quick("diagnose"), places=in_one_place, DiagnoseOptions=Options

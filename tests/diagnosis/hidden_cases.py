@@ -12,8 +12,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnosis.data.noise_parts import ModelError
-from limbcli.diagnosis.data.rows import ExtraMeasurement
+from limbcli.diagnosis.data.noise_parts import KnownErrors, ModelError
+from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.conclusions.sentences import recommended
 from limbcli.diagnosis.explanations.engine import diagnose
@@ -142,7 +142,9 @@ class Case:
             ModelError("model: gain of the force by the geometry", np.full(n, 0.05), none),
         ]
         site = site_data(
-            name, levels, reduced.NOISE, windows=fitted.windows, model_error=errors, extras=extras
+            name,
+            SiteReadings(levels, reduced.NOISE, windows=fitted.windows, extras=extras),
+            KnownErrors(errors=errors),
         )
         return SiteCurves(site, fitted, {e.name: e for e in EFFECTS if e.kind != "numerical"})
 

@@ -9,6 +9,7 @@ import pytest
 
 from limbcli.diagnosis.data.joint_measurements import joined, slices
 from limbcli.diagnosis.data.noise_parts import GAIN_OF_SPEEDS
+from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -37,7 +38,7 @@ def measurement(rng, axes, ingredients=(), reading=None):
 
 def curves(name, levels, axes):
     b = simulations(axes)
-    site = site_data(name, levels, reduced.NOISE, windows=b.windows)
+    site = site_data(name, SiteReadings(levels, reduced.NOISE, windows=b.windows))
     return SiteCurves(site, b, {each: effect(each) for each in CANDIDATES})
 
 
@@ -65,7 +66,7 @@ def test_noise_is_assumed_where_that_of_one_site_is(rng, sources):
     """Whichever stands first in the case."""
     levels, windows = measurement(rng, ACROSS), simulations(ACROSS).windows
     sites = [
-        site_data(source, levels, replace(reduced.NOISE, source=source), windows=windows)
+        site_data(source, SiteReadings(levels, replace(reduced.NOISE, source=source), windows=windows))
         for source in sources
     ]
     assert joined(sites).noise.is_assumed

@@ -12,6 +12,7 @@ from limbcli.case import StatedNoise
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.layer_rows import BorderLines, line_shift
+from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
@@ -68,7 +69,7 @@ def measured(rng, ingredients=()):
 
 def bench(levels, layers, names=CANDIDATES) -> SiteForwardModel:
     simulations = SpringBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
-    site = site_data("p1", levels, NOISE, windows=simulations.windows, layers=layers)
+    site = site_data("p1", SiteReadings(levels, NOISE, windows=simulations.windows, layers=layers))
     return SiteForwardModel([SiteCurves(site, simulations, {name: effect(name) for name in names})])
 
 
@@ -185,7 +186,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     )
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
     simulations = SiteSimulations(layered_block, depths, c=0.006, solving=ALONE, borders=BorderLines(seen))
-    site = site_data("p1", levels, noise, windows=simulations.windows, layers=seen)
+    site = site_data("p1", SiteReadings(levels, noise, windows=simulations.windows, layers=seen))
     the_bench = SiteForwardModel([SiteCurves(site, simulations, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))

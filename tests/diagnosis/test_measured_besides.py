@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.data.rows import ExtraMeasurement
+from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.forward_model.measurement_menu import items, known
@@ -57,7 +57,7 @@ def test_the_way_back_is_told_by_the_phase_of_levels_not_by_an_error_of_depth():
     depth[-2] = depth[-1] + 0.2
     for phase, back in (("load", False), ("unload", True)):
         levels = replace(loaded, depth=depth, phase=("load",) * 13 + (phase,))
-        site = site_data("p1", levels, reduced.NOISE, windows=Windows())
+        site = site_data("p1", SiteReadings(levels, reduced.NOISE, windows=Windows()))
         assert ("force, unloading" in site.data.groups) is back
         assert any(site.protocol.unloading) is back
 
@@ -100,7 +100,7 @@ def test_a_further_measurement_brings_its_models_error_with_it():
     levels = reduced.measured(np.random.default_rng(7))
     error = np.array([[4e-4, 2e-4], [2e-4, 9e-4]])
     extra = ExtraMeasurement("two", lambda c, r, p: np.zeros(2), np.zeros(2), np.array([0.01, 0.02]), error)
-    site = site_data("p1", levels, reduced.NOISE, windows=Windows(), extras=[extra])
+    site = site_data("p1", SiteReadings(levels, reduced.NOISE, windows=Windows(), extras=[extra]))
     at = [k for k, row in enumerate(site.rows) if row.channel == "two"]
     found = site.data.noise.covariance[np.ix_(at, at)]
     assert found == pytest.approx(error + np.diag([1e-4, 4e-4]))

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.data.noise_parts import IN_MAPS, LEAST_IN_MAPS, STRAIN, ModelError
+from limbcli.diagnosis.data.noise_parts import IN_MAPS, LEAST_IN_MAPS, STRAIN, KnownErrors, ModelError
+from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.conclusions.sentences import sentences
@@ -31,7 +32,9 @@ CANDIDATES = ("force-zero", "depth-zero", "anisotropy", "skin-layer", "swe-time-
 
 def bench(levels, names=CANDIDATES, errors=(), **more) -> SiteForwardModel:
     simulations = reduced.ReducedBook(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6), **more)
-    site = site_data("p1", levels, reduced.NOISE, windows=simulations.windows, model_error=errors)
+    site = site_data(
+        "p1", SiteReadings(levels, reduced.NOISE, windows=simulations.windows), KnownErrors(errors=errors)
+    )
     return SiteForwardModel([SiteCurves(site, simulations, {name: effect(name) for name in names})])
 
 
@@ -526,7 +529,9 @@ class WithoutBone(reduced.ReducedBook):
 
 def test_where_no_bone_is_under_the_probe_what_needs_one_is_not_evaluated():
     simulations = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
-    site = site_data("p1", levels(np.random.default_rng(1)), reduced.NOISE, windows=simulations.windows)
+    site = site_data(
+        "p1", SiteReadings(levels(np.random.default_rng(1)), reduced.NOISE, windows=simulations.windows)
+    )
     names = ("force-zero", "swe-guided-wave")
     bench = SiteForwardModel([SiteCurves(site, simulations, {name: effect(name) for name in names})])
     found = diagnose(bench)
@@ -538,6 +543,6 @@ def test_a_prediction_that_is_not_a_number_is_no_answer():
     skin_bone = np.r_[24.0, np.full(len(levels(np.random.default_rng(1)).depth) - 1, np.nan)]
     simulations = WithoutBone(reduced.block_model(6, 5, 5), np.linspace(0, 9, 6))
     data = replace(levels(np.random.default_rng(1)), skin_bone=skin_bone)
-    site = site_data("p1", data, reduced.NOISE, windows=simulations.windows)
+    site = site_data("p1", SiteReadings(data, reduced.NOISE, windows=simulations.windows))
     with pytest.raises(SolveError, match="not a number"):
         diagnose(SiteForwardModel([SiteCurves(site, simulations, {})]))

@@ -10,7 +10,8 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.noise_parts import ModelError, deepest, depth_slopes
+from limbcli.diagnosis.data.noise_parts import KnownErrors, ModelError, deepest, depth_slopes
+from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations.model.linear import LinearFit
@@ -108,7 +109,7 @@ def test_parts_of_which_bone_hides_half_count_for_nothing(rows, there):
 def test_a_level_of_whose_map_nothing_was_read_has_no_parts(recwarn):
     nothing = SweMap(np.zeros(0), np.zeros(0), np.zeros(0))
     maps = [nothing if k == 2 else grid_map(2.0) for k in range(N)]
-    data = site_data("p1", levels(), StatedNoise(), windows=Windows.of_maps(maps), maps=maps)
+    data = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=Windows.of_maps(maps), maps=maps))
     assert {row.level for row in data.rows if row.channel == "map"} == {k for k in range(N) if k != 2}
     assert not recwarn
 
@@ -140,13 +141,15 @@ def test_speeds_that_a_line_takes_below_zero_are_not_known():
 
 
 def test_channels_are_those_measured():
-    plain = site_data("p1", levels(), StatedNoise(), windows=Windows())
+    plain = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=Windows()))
     assert plain.channels == ("force",)
     assert len(plain.rows) == N - 1  # level 0 is 0 N at 0 mm by definition
     full = levels(probe_travel=2.0 * np.arange(N), skin_bone=30.0 - 1.5 * np.arange(N), hold=np.full(N, 20.0))
     windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
     held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), 0.01**2 * np.eye(2))
-    rich = site_data("p1", full, StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N, held=held)
+    rich = site_data(
+        "p1", SiteReadings(full, StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N, held=held)
+    )
     assert set(rich.channels) == {"force", "map", "travel", "skin-bone", "swe", "hold"}
     assert sum(row.channel == "map" for row in rich.rows) == 60 * N
     assert rich.data.y[[row.channel == "map" for row in rich.rows]] == pytest.approx(np.log(2.0))
@@ -160,7 +163,7 @@ def test_a_force_that_falls_less_late_in_a_hold_than_early_is_no_scatter():
     windows = np.concatenate([first + 20 * k for k in range(8)])
     falls = np.tile([0.2, 0.1], 8)
     held = HeldForces(np.linspace(0, 9, 160), windows, falls, 0.01**2 * np.eye(16))
-    data = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held).data
+    data = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=Windows(), held=held)).data
     whiten = Whitener.of(data.noise.covariance)
     off = np.where([channel == "hold" for channel in data.channel], data.y, 0.0)
     state = LinearFit.of(whiten(off), np.zeros((len(data), 0)))
@@ -169,15 +172,19 @@ def test_a_force_that_falls_less_late_in_a_hold_than_early_is_no_scatter():
 
 
 def test_assumed_noise_is_recognised_and_known_noise_is_not():
-    assert site_data("p1", levels(), StatedNoise(source="assumed"), windows=Windows()).data.noise.is_assumed
-    assert not site_data("p1", levels(), StatedNoise(source="spec"), windows=Windows()).data.noise.is_assumed
+    assert site_data(
+        "p1", SiteReadings(levels(), StatedNoise(source="assumed"), windows=Windows())
+    ).data.noise.is_assumed
+    assert not site_data(
+        "p1", SiteReadings(levels(), StatedNoise(source="spec"), windows=Windows())
+    ).data.noise.is_assumed
 
 
 def test_a_part_that_the_model_does_not_always_show_is_left_out():
     usable = np.ones(60, dtype=bool)
     usable[3] = False
     maps = [grid_map(2.0)] * N
-    data = site_data("p1", levels(), StatedNoise(), windows=MAPPED, maps=maps, usable=usable)
+    data = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=MAPPED, maps=maps, usable=usable))
     used = {(row.level, row.part - 1) for row in data.rows if row.channel == "map"}
     assert used == {(level, part) for level in range(N) for part in range(60) if part != 3}
 
@@ -188,7 +195,7 @@ def test_a_part_that_one_exponents_model_does_not_show_is_continued_there():
     speeds = np.multiply.outer(depth, np.full(61, 0.02))
     gap = speeds.copy()
     gap[4:, 5] = np.nan
-    site = site_data("p1", levels(), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N)
+    site = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N))
     curves = SiteCurves(site, SimpleNamespace(c=0.01), {})
     curves.nodes = {
         m: Curves(depth, depth**1.2, table, MAPPED.depths, 28.0) for m, table in ((4.0, speeds), (8.0, gap))
@@ -201,7 +208,9 @@ def test_a_part_that_one_exponents_model_does_not_show_is_continued_there():
 def test_a_second_relaxing_share_is_fitted_where_holds_are_recorded(recorded):
     windows = np.array([[[0, 4], [8, 12]], [[8, 12], [20, 24]]])
     held = HeldForces(np.linspace(0, 9, 40), windows, np.array([0.1, 0.05]), 0.01**2 * np.eye(2))
-    site = site_data("p1", levels(), StatedNoise(), windows=Windows(), held=held if recorded else None)
+    site = site_data(
+        "p1", SiteReadings(levels(), StatedNoise(), windows=Windows(), held=held if recorded else None)
+    )
     known = {"viscoelasticity": effect("viscoelasticity")}
     slots = Predictions([SiteCurves(site, SimpleNamespace(c=0.01), known)]).slots(("viscoelasticity",))
     second = ["second_relaxing_share"] if recorded else []
@@ -209,7 +218,7 @@ def test_a_second_relaxing_share_is_fitted_where_holds_are_recorded(recorded):
 
 
 def test_pixels_of_a_level_err_together():
-    data = site_data("p1", levels(), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N)
+    data = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N))
     covariance = data.data.noise.covariance
     index = {(row.channel, row.level, row.part): k for k, row in enumerate(data.rows)}
     within = covariance[index["map", 2, 1], index["map", 2, 5]]
@@ -221,12 +230,10 @@ def test_model_error_moves_force_and_speed_as_stated():
     log_force, log_speed = np.full(N, 0.05), np.zeros((N, len(Windows().depths)))
     with_error = site_data(
         "p1",
-        levels(),
-        StatedNoise(),
-        windows=Windows(),
-        model_error=[ModelError("mesh", log_force, log_speed)],
+        SiteReadings(levels(), StatedNoise(), windows=Windows()),
+        KnownErrors(errors=[ModelError("mesh", log_force, log_speed)]),
     )
-    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
+    without = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=Windows()))
     added = with_error.data.noise.covariance - without.data.noise.covariance
     assert np.diag(added) == pytest.approx((0.05 * without.data.y) ** 2)
 
@@ -234,8 +241,10 @@ def test_model_error_moves_force_and_speed_as_stated():
 def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
     none = np.zeros((N, len(Windows().depths)))
     touch = ModelError("first touch", np.zeros(N), none, depth=0.4)
-    with_error = site_data("p1", levels(), StatedNoise(), windows=Windows(), model_error=[touch])
-    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
+    with_error = site_data(
+        "p1", SiteReadings(levels(), StatedNoise(), windows=Windows()), KnownErrors(errors=[touch])
+    )
+    without = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=Windows()))
     slope = depth_slopes(with_error.protocol, with_error.rows, with_error.data.y)
     added = with_error.data.noise.covariance - without.data.noise.covariance
     assert added == pytest.approx(np.outer(0.4 * slope, 0.4 * slope))
@@ -245,8 +254,10 @@ def test_doubt_about_first_touch_moves_every_level_along_the_measured_slope():
 def test_doubt_about_the_thickness_moves_levels_by_their_depth():
     none = np.zeros((N, len(Windows().depths)))
     thick = ModelError("thickness", np.zeros(N), none, strain=0.02)
-    with_error = site_data("p1", levels(), StatedNoise(), windows=Windows(), model_error=[thick])
-    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
+    with_error = site_data(
+        "p1", SiteReadings(levels(), StatedNoise(), windows=Windows()), KnownErrors(errors=[thick])
+    )
+    without = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=Windows()))
     depth = np.array([with_error.protocol.depth[row.level] for row in with_error.rows])
     shift = 0.02 * depth * depth_slopes(with_error.protocol, with_error.rows, with_error.data.y)
     added = with_error.data.noise.covariance - without.data.noise.covariance
@@ -255,8 +266,10 @@ def test_doubt_about_the_thickness_moves_levels_by_their_depth():
 
 def test_mesh_error_is_alike_at_neighbouring_levels_and_less_so_far_apart():
     mesh = ModelError("mesh", np.full(N, 0.05), np.zeros((N, len(Windows().depths))), correlation=0.8)
-    with_error = site_data("p1", levels(), StatedNoise(), windows=Windows(), model_error=[mesh])
-    without = site_data("p1", levels(), StatedNoise(), windows=Windows())
+    with_error = site_data(
+        "p1", SiteReadings(levels(), StatedNoise(), windows=Windows()), KnownErrors(errors=[mesh])
+    )
+    without = site_data("p1", SiteReadings(levels(), StatedNoise(), windows=Windows()))
     added = with_error.data.noise.covariance - without.data.noise.covariance
     size = 0.05 * without.data.y
     assert added[1, 2] == pytest.approx(0.8 * size[1] * size[2])
@@ -267,7 +280,10 @@ def test_prediction_is_laid_out_like_the_data():
     depth = np.linspace(0, 10, 6)
     curves = Curves(depth, depth**1.2, np.tile(np.log(np.arange(2.0, 63.0)), (6, 1)), MAPPED.depths, 28.0)
     data = site_data(
-        "p1", levels(skin_bone=np.full(N, 30.0)), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N
+        "p1",
+        SiteReadings(
+            levels(skin_bone=np.full(N, 30.0)), StatedNoise(), windows=MAPPED, maps=[grid_map(2.0)] * N
+        ),
     )
     found = data.predict(curves, Reading())
     for row, value in zip(data.rows, found, strict=True):
@@ -308,7 +324,7 @@ def measured_on_steep(depth_error) -> Levels:
 def test_an_error_of_depth_moves_the_data_in_proportion_however_steep_the_curve(size):
     """By the slopes that its noise has: over a curve that bends that much, not those of the curve there."""
     error = size * np.cos(2.0 * np.arange(14)) * (np.arange(14) > 0)
-    site = site_data("p1", measured_on_steep(error), StatedNoise(), windows=Windows())
+    site = site_data("p1", SiteReadings(measured_on_steep(error), StatedNoise(), windows=Windows()))
     left = site.data.y - site.predict(steep(), Reading())
     levels = np.array([row.level for row in site.rows])
     assert left == pytest.approx(-site.slope * error[levels], rel=0.02, abs=0.02)
@@ -324,7 +340,9 @@ def test_an_error_of_depth_moves_maps_by_the_slopes_of_its_noise_where_an_effect
     as_read = read(curves, Protocol(record.force, record.depth, np.zeros(14)), guided).log_speed[:, 0]
     slopes = np.repeat((0.1 + 0.04 * exact.depth)[:, None], 60, axis=1)
     maps = [grid_map(each) for each in np.exp(shown)]
-    site = site_data("p1", record, StatedNoise(), windows=MAPPED, maps=maps, map_slopes=slopes)
+    site = site_data(
+        "p1", SiteReadings(record, StatedNoise(), windows=MAPPED, maps=maps), KnownErrors(map_slopes=slopes)
+    )
     is_map = np.array([row.channel == "map" for row in site.rows])
     at = np.array([row.level for row in site.rows])[is_map]
     allowed = -site.slope[is_map] * error[at]
@@ -338,7 +356,7 @@ def test_an_error_of_the_tissues_speed_shows_several_times_near_the_cut_off_of_g
     speeds = np.repeat(steep().log_speed[:, :1], 61, axis=1)
     curves = Curves(STEEP, steep().force, speeds, MAPPED.depths, 9.0)
     maps = [grid_map(each) for each in record.swe_mean_m_per_s]
-    site = site_data("p1", record, StatedNoise(), windows=MAPPED, maps=maps)
+    site = site_data("p1", SiteReadings(record, StatedNoise(), windows=MAPPED, maps=maps))
     found = site.amplification(curves, Reading(guided=0.038))
     level = np.array([row.level for row in site.rows])
     ratio = (1e3 * record.swe_mean_m_per_s / (2 * (9.0 - record.depth))) ** 2 * 0.038e-4
@@ -361,7 +379,7 @@ def test_so_it_does_where_the_reading_is_distorted(reading):
         force=(true.force + reading.force_zero - reading.preload)[keep][-N:], depth=depth[keep][-N:] + error,
         swe_mean_m_per_s=true.swe_mean_m_per_s[keep][-N:], swe_pixels=np.full(N, 100.0),
     )  # fmt: skip
-    site = site_data("p1", record, StatedNoise(), windows=Windows())
+    site = site_data("p1", SiteReadings(record, StatedNoise(), windows=Windows()))
     left = site.data.y - site.predict(steep(), reading)
     at = np.array([row.level for row in site.rows])
     assert left == pytest.approx(-site.slope * error[at], rel=0.02, abs=0.03)
@@ -373,7 +391,11 @@ def test_a_wrong_speed_of_sound_shows_in_the_distance_to_a_bone_that_was_imaged_
     z = np.linspace(0.0, 10.0, 11)
     curves = Curves(z, 2.0 * z, np.zeros((11, 0)), np.zeros(0), 24.0)
     bone = np.r_[24.0, np.full(N - 1, np.nan)]
-    site = site_data("p1", levels(skin_bone=bone), StatedNoise(), windows=Windows(), bone_as_shown=as_shown)
+    site = site_data(
+        "p1",
+        SiteReadings(levels(skin_bone=bone), StatedNoise(), windows=Windows()),
+        KnownErrors(bone_as_shown=as_shown),
+    )
     at = [row.channel for row in site.rows].index("skin-bone")
     assert site.predict(curves, Reading(depth_gain=1.04))[at] == pytest.approx(expected)
 
@@ -382,7 +404,7 @@ def test_slopes_of_a_steep_curve_are_not_flattened_by_errors_of_depth():
     rng, found = np.random.default_rng(3), []
     for _ in range(40):
         error = 0.3 * rng.standard_normal(14) * (np.arange(14) > 0)
-        site = site_data("p1", measured_on_steep(error), StatedNoise(), windows=Windows())
+        site = site_data("p1", SiteReadings(measured_on_steep(error), StatedNoise(), windows=Windows()))
         found.append(site.slope[: len(site.protocol) - 1])
     true = 1.1 * (np.linspace(0.0, 26.0, 14)[1:] + 0.3)
     assert np.median(found, axis=0)[3:] == pytest.approx(true[3:], rel=0.25)
@@ -399,7 +421,9 @@ def test_deepest_is_of_a_smooth_curve_through_the_readings():
 
 
 def with_travel(travel, **changes):
-    return site_data("p1", levels(probe_travel=travel, **changes), StatedNoise(), windows=Windows())
+    return site_data(
+        "p1", SiteReadings(levels(probe_travel=travel, **changes), StatedNoise(), windows=Windows())
+    )
 
 
 def travels(site, values) -> np.ndarray:

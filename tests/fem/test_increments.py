@@ -10,7 +10,7 @@ import pytest
 from small_models import punch
 
 from limbcli.errors import SolveError
-from limbcli.fem.analysis import Analysis
+from limbcli.fem.analysis import Analysis, RunEnd
 from limbcli.fem.equilibrium import relaxation
 from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath, Reached
 from limbcli.fem.equilibrium.load_stepping import LoadStepping
@@ -102,7 +102,7 @@ def test_a_deep_punch_is_cut_comes_to_rest_and_arrives(outcomes: list[IncrementO
 def test_a_first_load_step_tried_briefly_ends_with_what_is_wrong(outcomes: list[IncrementOutcome]) -> None:
     model = punch("tet10", depth=5.0, levels=1, width=5.0, material=ogden_type(c=0.008, f_kappa=100.0, m=2.0))
     with pytest.raises(SolveError, match="load step 1 of 1"):
-        Analysis(model, QUICK).run(required=1, full_effort=0)
+        Analysis(model, QUICK).run(end=RunEnd(required=1, full_effort=0))
     assert IncrementOutcome.BEGIN_AGAIN not in outcomes
 
 

@@ -11,7 +11,7 @@ from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import profile_likelihood
 from limbcli.inference.residual import Residual
-from limbcli.inference.two_step_fit import ForceDepth, two_step
+from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
 
 pytestmark = pytest.mark.slow
 
@@ -32,8 +32,10 @@ def intervals(simulated, truth, kind, seed, **options):
     data, c = noisy(simulated, truth, kind, seed)
     knots = np.unique(data.depth[data.depth > 0.05])
     memory = SolvedPoints(simulated.curve(knots, c, kind))
-    _, second = two_step(memory, knots, data)
-    return force_intervals(memory, knots, data, Stiffness(c, 0.1), second.theta, **options), second
+    _, second = two_step(CurveMatch(memory, knots, data))
+    return force_intervals(
+        CurveMatch(memory, knots, data), Stiffness(c, 0.1), second.theta, **options
+    ), second
 
 
 def test_profile_of_a_linear_model_is_its_textbook_interval(rng):
@@ -77,11 +79,11 @@ def test_the_interval_agrees_with_one_on_the_true_model(simulated):
     data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
     memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
-    theta = two_step(memory, knots, data)[1].theta
+    theta = two_step(CurveMatch(memory, knots, data))[1].theta
     for f_kappa in np.geomspace(30, 500, 7):
         for m in np.geomspace(1.5, 6, 5):
             memory(np.array([f_kappa, m]), (0, 1))
-    dense = force_intervals(memory, knots, data, Stiffness(c, 0.1), theta, max_solves=0)
+    dense = force_intervals(CurveMatch(memory, knots, data), Stiffness(c, 0.1), theta, max_solves=0)
     for name in ("f_kappa", "m"):
         np.testing.assert_allclose(
             (few.profiles[name].low, few.profiles[name].high),
@@ -137,9 +139,9 @@ def test_an_uncertain_stiffness_widens_the_interval(simulated):
     data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
     memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
-    theta = two_step(memory, knots, data)[1].theta
-    known = force_intervals(memory, knots, data, Stiffness(c, 0.0), theta).profiles["f_kappa"]
-    guessed = force_intervals(memory, knots, data, Stiffness(c, 0.2), theta).profiles["f_kappa"]
+    theta = two_step(CurveMatch(memory, knots, data))[1].theta
+    known = force_intervals(CurveMatch(memory, knots, data), Stiffness(c, 0.0), theta).profiles["f_kappa"]
+    guessed = force_intervals(CurveMatch(memory, knots, data), Stiffness(c, 0.2), theta).profiles["f_kappa"]
     assert np.log(guessed.high / guessed.low) > 1.3 * np.log(known.high / known.low)
 
 
@@ -149,10 +151,10 @@ def test_a_share_of_c_that_is_the_same_at_all_depths_is_a_c_known_better(simulat
     data, c = noisy(simulated, (150.0, 3.0), "tet4", 0)
     knots = np.unique(data.depth[data.depth > 0.05])
     memory = SolvedPoints(simulated.curve(knots, c, "tet4"))
-    theta = two_step(memory, knots, data)[1].theta
+    theta = two_step(CurveMatch(memory, knots, data))[1].theta
     shared = Stiffness(c, 0.2, share=np.full(len(knots), share))
-    found = force_intervals(memory, knots, data, shared, theta).profiles["f_kappa"]
-    expected = force_intervals(memory, knots, data, Stiffness(c, like), theta).profiles["f_kappa"]
+    found = force_intervals(CurveMatch(memory, knots, data), shared, theta).profiles["f_kappa"]
+    expected = force_intervals(CurveMatch(memory, knots, data), Stiffness(c, like), theta).profiles["f_kappa"]
     np.testing.assert_allclose(np.log(found.low), np.log(expected.low), atol=0.05)
     np.testing.assert_allclose(np.log(found.high), np.log(expected.high), atol=0.05)
 
@@ -162,7 +164,7 @@ def test_a_simulation_that_fails_is_reported_and_stops_the_interval(simulated):
     knots = np.unique(data.depth[data.depth > 0.05])
     exact = simulated.curve(knots, c, "tet4")
     walk = SolvedPoints(exact)
-    theta = two_step(walk, knots, data)[1].theta
+    theta = two_step(CurveMatch(walk, knots, data))[1].theta
 
     def fragile(at, wrt=()):
         if at[0] > 1.1 * theta[0]:
@@ -173,7 +175,7 @@ def test_a_simulation_that_fails_is_reported_and_stops_the_interval(simulated):
     for at, _ in walk.solved:
         if at[0] <= 1.1 * theta[0]:
             memory(at, (0, 1))
-    found = force_intervals(memory, knots, data, Stiffness(c, 0.1), theta)
+    found = force_intervals(CurveMatch(memory, knots, data), Stiffness(c, 0.1), theta)
     assert found.unsolved
     assert found.profiles["f_kappa"].high < 1.6 * theta[0]
     assert found.profiles["f_kappa"].open_high

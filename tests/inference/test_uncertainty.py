@@ -8,7 +8,7 @@ from scipy.stats import chi2, norm
 from scipy.stats import t as student
 
 from limbcli.inference.adaptive import adaptive_profiles
-from limbcli.inference.identifiability import correlation, has_influence, log_covariance, verdict
+from limbcli.inference.identifiability import NoProfile, correlation, has_influence, log_covariance, verdict
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.profile import Profile
 from limbcli.inference.residual import Residual
@@ -57,7 +57,7 @@ def test_every_verdict_has_its_case():
         "identified": verdict(F_KAPPA, 100.0, profile(80.0, 130.0), influence=True),
         "weak": verdict(F_KAPPA, 100.0, profile(60.0, 1000.0, open_high=True), influence=True),
         "at bound": verdict(F_KAPPA, 1000.0, profile(60.0, 1000.0, open_high=True), influence=True),
-        "no influence": verdict(F_KAPPA, 100.0, None, influence=False),
+        "no influence": verdict(F_KAPPA, 100.0, NoProfile(), influence=False),
         "trades off with m": verdict(
             F_KAPPA, 100.0, profile(20.0, 400.0), influence=True, correlations=[("c", 0.2), ("m", -0.99)]
         ),
@@ -88,20 +88,20 @@ def test_without_noise_there_is_no_correlation_and_no_warning():
 
 
 def test_without_an_interval_the_standard_error_decides_and_without_noise_nothing_does():
-    sure = verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=0.05)
+    sure = verdict(F_KAPPA, 100.0, NoProfile(log_deviation=0.05), influence=True)
     assert (sure.flag, "standard error 5 %" in sure.words) == ("identified", True)
-    assert verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=0.5).flag == "weak"
-    assert verdict(F_KAPPA, 100.0, None, influence=True, log_deviation=1e9).flag == "weak"
-    unknown = verdict(F_KAPPA, 100.0, None, influence=True, why_no_profile="the case states no noise")
+    assert verdict(F_KAPPA, 100.0, NoProfile(log_deviation=0.5), influence=True).flag == "weak"
+    assert verdict(F_KAPPA, 100.0, NoProfile(log_deviation=1e9), influence=True).flag == "weak"
+    unknown = verdict(F_KAPPA, 100.0, NoProfile("the case states no noise"), influence=True)
     assert unknown.flag == "weak"
     assert unknown.words == "f_kappa = 100; its uncertainty cannot be determined: the case states no noise."
-    bound = verdict(F_KAPPA, 1000.0, None, influence=True, why_no_profile="the case states no noise")
+    bound = verdict(F_KAPPA, 1000.0, NoProfile("the case states no noise"), influence=True)
     assert bound.words.endswith("the case states no noise.")
 
 
 @pytest.mark.parametrize(("value", "which"), [(0.01, "lower"), (1000.0, "upper")])
 def test_a_headline_without_an_interval_names_the_bound(value, which):
-    found = verdict(F_KAPPA, value, None, influence=True)
+    found = verdict(F_KAPPA, value, NoProfile(), influence=True)
     message = headline(value, None, None, found.flag, bound=found.bound, computed=False)
     assert str(message) == f"at the {which} bound of the search"
 

@@ -23,10 +23,10 @@ def test_uniform_map_gives_c_everywhere(rng):
 
 def test_value_inside_is_that_of_the_pixel_under_it():
     points = np.array([[3.0, 0.0, -10.0], [-7.5, 4.0, -18.5]])
-    found = stiffness_at(swe_map(), points, smoothing=0.0)
-    c = found.c
+    found = stiffness_at(swe_map(), points)
     speed = 1.5 + 0.05 * np.array([10.0, 18.5])
-    np.testing.assert_allclose(c, 2e-3 * speed**2, rtol=1e-3)
+    # the average over 3 mm of a speed that is linear in depth keeps c to the curvature of its logarithm
+    np.testing.assert_allclose(found.c, 2e-3 * speed**2, rtol=0.02)
     assert found.inside.all()
 
 
@@ -41,14 +41,6 @@ def test_far_outside_is_the_median_and_the_way_there_has_no_step():
     assert c[-1] == pytest.approx(found.median, rel=1e-9)
     assert c[-1] == pytest.approx(2e-3 * np.median(swe.speed_m_per_s) ** 2, rel=0.02)
     assert np.abs(np.diff(c)).max() < 0.03 * (c.max() - c.min()) + 1e-6
-
-
-def test_elevation_is_extruded_up_to_its_half_width_and_fades_beyond():
-    z = np.full(3, -24.0)
-    points = np.column_stack([np.zeros(3), [0.0, 7.0, 60.0], z])
-    c = stiffness_at(swe_map(), points, half_elevation=7.0).c
-    assert c[1] == pytest.approx(c[0], rel=1e-9)
-    assert c[2] < 0.8 * c[0]
 
 
 def test_too_few_pixels_and_a_line_of_pixels_are_refused():

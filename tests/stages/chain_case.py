@@ -17,7 +17,7 @@ from limbcli.imaging.segmentation import Segmentation
 from limbcli.imaging.volume import Volume
 from limbcli.stages import segment as segment_module
 from limbcli.stages.build_feb import build_feb
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.segment import segment
 from tests.stages.coarse_surfaces import coarse_surfaces
 
@@ -89,5 +89,5 @@ def write_case(folder: Path) -> Case:
 
 def make_results(case: Case, out: Path) -> None:
     segment(case, out=out)
-    mesh(case, out=out, **SIZES)
+    mesh(case, out=out, options=MeshRequest(**SIZES))
     build_feb(case, out=out)

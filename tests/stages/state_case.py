@@ -33,9 +33,7 @@ def curve(ways: Sequence[str] = (WAY,), *, counts: tuple[int, int, int] = FIT_ME
     model = indentation_model(
         block.block_model(counts=counts), schedule([1.0, 2.0]), c=C, f_kappa=100.0, m=2.0
     )
-    return StateCurve(
-        model, LAWS[LAW], ways, [0.4, 1.0, 1.8, 2.8, 3.8], c=C, density_kg_per_m3=DENSITY, threads=1
-    )
+    return StateCurve(model, LAWS[LAW], ways, [0.4, 1.0, 1.8, 2.8, 3.8], c=C, density_kg_per_m3=DENSITY)
 
 
 def true_levels(made: StateCurve, stretches: Sequence[float]) -> tuple[np.ndarray, np.ndarray]:

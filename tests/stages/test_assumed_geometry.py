@@ -25,7 +25,7 @@ from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.fit_joint import JointOptions, fit_joint
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment
@@ -101,7 +101,7 @@ def chain(tmp_path_factory) -> tuple[Case, Path]:
     folder = tmp_path_factory.mktemp("numbers")
     case, out = numbers(folder / "case"), folder / "out"
     segment(case, out=out)
-    mesh(case, out=out, **SIZES)
+    mesh(case, out=out, options=MeshRequest(**SIZES))
     build_feb(case, out=out)
     run(case, out=out, solver="reference")
     return case, out
@@ -256,7 +256,7 @@ def test_a_fit_recovers_the_tissue_and_allows_for_the_shape(chain, tmp_path):
     synth(chain[0], out=meshed, out_case=made, options=plan)
     case = Case.open(made)
     segment(case, out=out)
-    mesh(case, out=out, **SIZES)
+    mesh(case, out=out, options=MeshRequest(**SIZES))
     build_feb(case, out=out)
     (first,) = fit(case, out=out, solver="reference", options=QUICK)
     found = first.data
@@ -321,7 +321,7 @@ def test_a_bone_met_on_its_flank_is_within_the_interval_that_allows_for_it(tmp_p
     case.file.write_text(quiet)
     case, out = Case.open(case.folder), tmp_path / "out"
     segment(case, out=out)
-    mesh(case, out=out, **SIZES)
+    mesh(case, out=out, options=MeshRequest(**SIZES))
     build_feb(case, out=out)
     uncertainty = fit(case, out=out, solver="reference", options=QUICK)[0].data["geometry_uncertainty"]
     (low, _), (alone, _) = uncertainty["interval_95"]["m"], uncertainty["interval_95_noise"]["m"]

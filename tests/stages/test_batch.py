@@ -21,15 +21,20 @@ from limbcli.stages.batch import BatchOptions, batch
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
 from limbcli.stages.limb import LimbOptions
+from limbcli.stages.mesh import MeshRequest
 from limbcli.stages.run import RunOptions
+from limbcli.stages.segment import SegmentOptions
 from limbcli.stages.socket import SocketOptions
 from tests.case.test_case_text import two_sites
 
 STAGES = ("mesh", "build-feb", "run", "fit")
 BEFORE = {"mesh": "", "build-feb": "mesh"}
 OPTIONS = {
-    each.__name__: each for each in (FitOptions, TissueOptions, RunOptions, LimbOptions, SocketOptions)
-}
+    each.__name__: each
+    for each in (
+        SegmentOptions, MeshRequest, FitOptions, TissueOptions, RunOptions, LimbOptions, SocketOptions,
+    )
+}  # fmt: skip
 CALLED: dict[str, list[dict]] = {}
 
 

@@ -20,9 +20,9 @@ from limbcli.fitting.model_checks import (
     moved_parameters,
     write_boundary_check,
 )
-from limbcli.fitting.solve_again import checked_levels, forces_again
+from limbcli.fitting.solve_again import SolvedAgain, checked_levels
 from limbcli.inference.prediction import Prediction, SolvedPoints
-from limbcli.inference.two_step_fit import ForceDepth
+from limbcli.inference.two_step_fit import CurveMatch, ForceDepth
 from limbcli.model import LimbModel
 from limbcli.progress import Progress
 from limbcli.site_model.indentation_model import indentation_model
@@ -62,7 +62,7 @@ def test_a_freed_cut_lowers_the_force_and_a_boundary_that_is_not_there_is_left_o
     model, written = cut_block(), writer()
     forces = solved(model)
     changed = changed_forces(
-        model, forces, lambda each: forces_again(each.of(model), "boundary check", threads=1)
+        model, forces, lambda each: SolvedAgain().forces(each.of(model), "boundary check")
     )
     write_boundary_check(changed, DEPTHS, written)
     found = written.data["boundary_check"]
@@ -83,7 +83,7 @@ def test_levels_solved_before_lead_to_the_same_forces():
     sides = replace(model, supports=CUT_FREE.of(model).supports, mesh=CUT_FREE.of(model).mesh)
     with ReferenceSession(sides, threads=1) as session:
         session.solve()
-        led = forces_again(model, "boundary check", like=session, threads=1)
+        led = SolvedAgain(like=session).forces(model, "boundary check")
         levels = session.kept_levels
     assert led == pytest.approx(solved(model), rel=1e-3)
     seen: list[int] = []
@@ -92,9 +92,9 @@ def test_levels_solved_before_lead_to_the_same_forces():
         if kind == "newton" and facts["iteration"]:
             seen.append(facts["step"])
 
-    from_levels = forces_again(model, "boundary check", levels=levels, threads=1)
+    from_levels = SolvedAgain(levels=levels).forces(model, "boundary check")
     assert from_levels == pytest.approx(led, rel=1e-3)
-    forces_again(sides, "boundary check", levels=levels, threads=1, progress=Progress(listen))
+    SolvedAgain(levels=levels, progress=Progress(listen)).forces(sides, "boundary check")
     assert not seen, "the levels are used: without a change they are in equilibrium"
 
 
@@ -107,7 +107,7 @@ def test_of_many_levels_some_are_solved():
         if kind == "newton":
             seen.add(facts["n_steps"])
 
-    found = forces_again(free, "boundary check", rows=rows, threads=1, progress=Progress(listen))
+    found = SolvedAgain(rows=rows, progress=Progress(listen)).forces(free, "boundary check")
     assert seen == {3}
     assert found == pytest.approx(solved(free)[rows], rel=1e-3)
 
@@ -190,11 +190,13 @@ def test_the_parameters_that_would_fit_are_those_by_which_the_changed_model_give
     curve = SolvedPoints(law)
     data = ForceDepth(curve(theta).values, DEPTHS, 0.1, 0.1)
     ratio = curve(theta).values / curve(nearby).values  # of a model that needs `nearby` for that curve
-    found = moved_parameters(curve, DEPTHS, data, theta, BOTH, DEPTHS, ratio)
+    found = moved_parameters(CurveMatch(curve, DEPTHS, data), theta, BOTH, DEPTHS, ratio)
     assert found == pytest.approx({"f_kappa": 84.0, "m": 2.95}, rel=5e-3)
-    assert moved_parameters(curve, DEPTHS, data, theta, BOTH, DEPTHS, 0.3 * ratio) == {}
-    assert moved_parameters(curve, DEPTHS, data, theta, {}, DEPTHS, ratio) == {}, "none is identified"
-    (name,) = moved_parameters(curve, DEPTHS, data, theta, {1: "m"}, DEPTHS, ratio)
+    assert moved_parameters(CurveMatch(curve, DEPTHS, data), theta, BOTH, DEPTHS, 0.3 * ratio) == {}
+    assert moved_parameters(CurveMatch(curve, DEPTHS, data), theta, {}, DEPTHS, ratio) == {}, (
+        "none is identified"
+    )
+    (name,) = moved_parameters(CurveMatch(curve, DEPTHS, data), theta, {1: "m"}, DEPTHS, ratio)
     assert name == "m"
-    two = moved_parameters(curve, DEPTHS, data, theta, BOTH, DEPTHS, ratio[:2])
+    two = moved_parameters(CurveMatch(curve, DEPTHS, data), theta, BOTH, DEPTHS, ratio[:2])
     assert two == pytest.approx(found, rel=2e-2), "from the levels that were reached"

@@ -238,7 +238,7 @@ def test_a_site_may_move_without_a_new_segmentation_where_its_layers_are_given(r
     in_case("29.5, 0.0]", "29.5, 3.0]")(root)
     case, out = Case.open(root / "case"), root / "out"
     with pytest.raises(Reached):
-        mesh_module.mesh(case, out=out, fat_layer=6.0)
+        mesh_module.mesh(case, out=out, options=mesh_module.MeshRequest(fat_layer=6.0))
     with pytest.raises(CaseError, match="place"):
         tissue_between(case, case.sites[0], out, None, None)  # type: ignore[arg-type]
 
@@ -274,7 +274,7 @@ def test_the_same_again_leaves_the_chain_whole(root: Path, monkeypatch: pytest.M
     case, out = Case.open(root / "case"), root / "out"
     before = [read_result(out, stage, site=site) for stage, site in (("segment", None), ("mesh", "p1"))]
     segment(case, out=out)
-    mesh_module.mesh(case, out=out, **chain_case.SIZES)
+    mesh_module.mesh(case, out=out, options=mesh_module.MeshRequest(**chain_case.SIZES))
     for old in before:
         new = read_result(out, old.stage, site=old.site)
         assert new.provenance["files_sha256"] == old.provenance["files_sha256"]

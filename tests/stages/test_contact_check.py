@@ -37,7 +37,7 @@ class Counts:
 def fibred(progress: Progress = SILENT) -> tuple[LawCurve, object]:
     model = indentation_model(block.block_model(), schedule([0.6, 1.2, 2.0, 3.0]), c=C, f_kappa=100.0, m=2.0)
     law = LAWS["fibres"]
-    curve = LawCurve(model, law, c=C, density_kg_per_m3=1000.0, speeds=False, threads=1, progress=progress)
+    curve = LawCurve(model, law, c=C, density_kg_per_m3=1000.0, speeds=False, progress=progress)
     return curve, model.with_material(TISSUE, law.material(C, SHAPE))
 
 

@@ -44,7 +44,7 @@ def beside_fat(c: float, *, f_kappa: float = 20.0) -> LimbModel:
 @pytest.mark.parametrize("name", ["ogden", "two-term-ogden"])
 def test_forces_have_exact_derivatives_by_c_and_are_not_in_proportion_to_it(name: str) -> None:
     law, n = LAWS[name].beside_layers(), len(DEPTHS)
-    curve = LawCurve(beside_fat(C0), law, c=C0, density_kg_per_m3=DENSITY, speeds=False, threads=1)
+    curve = LawCurve(beside_fat(C0), law, c=C0, density_kg_per_m3=DENSITY, speeds=False)
     place = np.array([1.3, *(each.start for each in law.shape[1:])])
     try:
         found = curve(place, tuple(range(len(place))))
@@ -59,10 +59,8 @@ def test_forces_have_exact_derivatives_by_c_and_are_not_in_proportion_to_it(name
 def test_a_factor_of_c_is_c_itself() -> None:
     """What a curve gives for c / c0 is what the model gives at that c."""
     place = np.r_[TRUE_C / C0, SHAPE]
-    by_ratio = LawCurve(
-        beside_fat(C0), LAWS["ogden"].beside_layers(), c=C0, density_kg_per_m3=DENSITY, threads=1
-    )
-    direct = LawCurve(beside_fat(TRUE_C), LAWS["ogden"], c=TRUE_C, density_kg_per_m3=DENSITY, threads=1)
+    by_ratio = LawCurve(beside_fat(C0), LAWS["ogden"].beside_layers(), c=C0, density_kg_per_m3=DENSITY)
+    direct = LawCurve(beside_fat(TRUE_C), LAWS["ogden"], c=TRUE_C, density_kg_per_m3=DENSITY)
     try:
         np.testing.assert_allclose(by_ratio(place).values, direct(SHAPE).values, rtol=1e-4)
     finally:
@@ -72,7 +70,7 @@ def test_a_factor_of_c_is_c_itself() -> None:
 
 def case_beside_fat(folder: Path) -> Case:
     """A case whose tissue has TRUE_C and SHAPE, measured without error, beside fat of a known law."""
-    curve = LawCurve(beside_fat(TRUE_C), LAWS["ogden"], c=TRUE_C, density_kg_per_m3=DENSITY, threads=1)
+    curve = LawCurve(beside_fat(TRUE_C), LAWS["ogden"], c=TRUE_C, density_kg_per_m3=DENSITY)
     forces, speeds = np.split(curve(SHAPE).values, 2)
     curve.close()
     case = block_case.make_case(
@@ -106,7 +104,7 @@ def test_states_are_told_apart_beside_fat() -> None:
     true_c, c0, unloaded, shape = 0.0075, 0.006, 0.95, np.array([30.0, 6.0])
     given, depths, forces = {"around": [0.9, 0.72, 1.1]}, [0.4, 1.0, 1.8, 2.8, 3.8], np.arange(0.0, 1.7, 0.4)
     model, law, plan = beside_fat(c0, f_kappa=5.0), LAWS["ogden"], plan_of(given, {}, ["a", "b", "c"])
-    ways = {"density_kg_per_m3": DENSITY, "threads": 1}
+    ways = {"density_kg_per_m3": DENSITY}
     truth = StateCurve(model, law, ("around",), depths, c=true_c, **ways)
     data = []
     for name, stretch in zip("abc", given["around"], strict=True):
@@ -123,7 +121,7 @@ def test_states_are_told_apart_beside_fat() -> None:
         )  # fmt: skip
     truth.close()
     curve = StateCurve(model, law.beside_layers(), ("around",), depths, c=c0, **ways)
-    problem, found = identify(curve, law, plan, data, c0=c0, gain=1e-4, max_rounds=0)
+    problem, found = identify(curve, law, plan, data, gain=1e-4, max_rounds=0)
     try:
         np.testing.assert_allclose(found.best[:4], [true_c, *shape, unloaded], rtol=0.01)
         fitted = curve.in_state(
@@ -136,7 +134,7 @@ def test_states_are_told_apart_beside_fat() -> None:
 
 def test_a_solver_on_files_tells_the_same_share_of_c() -> None:
     model, theta = beside_fat(C0), np.array([40.0, 3.0])
-    exact, files = ReferenceCurve(model, c=C0, threads=1), FileCurve(ReferenceSolver(threads=1), model, c=C0)
+    exact, files = ReferenceCurve(model, c=C0), FileCurve(ReferenceSolver(threads=1), model, c=C0)
     try:
         share = exact.share_of_c(theta)
     finally:
@@ -145,7 +143,7 @@ def test_a_solver_on_files_tells_the_same_share_of_c() -> None:
     assert share.max() < 0.5, "the fat carries the rest"
     np.testing.assert_allclose(files.share_of_c(theta), share, rtol=0.01)
     block = model.mesh.block("tissue")
-    mapped = ReferenceCurve(model, c=ElementMap("c", "tissue", np.full(len(block.cells), C0)), threads=1)
+    mapped = ReferenceCurve(model, c=ElementMap("c", "tissue", np.full(len(block.cells), C0)))
     try:
         np.testing.assert_allclose(mapped.share_of_c(theta), share, rtol=1e-4)
     finally:

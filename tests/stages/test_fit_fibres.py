@@ -258,9 +258,7 @@ def test_forces_of_a_fit_are_those_of_fibres_that_jump():
     """Sheared fibres jump in where they begin to be stretched; those of a fit come in over a band."""
     model = built((0.3, 0.9, 0.3))
     shape = np.array([3.0, 0.9, 1.0])
-    curve = LawCurve(
-        model, LAW.along((0.3, 0.9, 0.3)), c=C, density_kg_per_m3=1000.0, speeds=False, threads=1
-    )
+    curve = LawCurve(model, LAW.along((0.3, 0.9, 0.3)), c=C, density_kg_per_m3=1000.0, speeds=False)
     found = curve(shape).values
     curve.close()
     law = model.with_material(TISSUE, LAW.along((0.3, 0.9, 0.3)).material(C, shape))

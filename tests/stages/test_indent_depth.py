@@ -47,10 +47,13 @@ def test_a_hidden_change_of_the_thickness_shows_in_the_skin_bone_distance() -> N
     model = replace(model, mesh=replace(model.mesh, surfaces=surfaces))
     protocol = LoadingProtocol(step=0.5, max_force=1.0)
     found = [
-        indent(model, KnownTissue(), protocol=protocol, tolerance=1e-3, change=change,
-               window=Window(depth_from=2.0, depth_to=10.0)).skin_bone
+        indent(
+            Press(meshed=model, tissue=KnownTissue(), tolerance=1e-3, change=change),
+            protocol=protocol,
+            window=Window(depth_from=2.0, depth_to=10.0),
+        ).skin_bone
         for change in (None, hide("thickness=0.1").in_model)
-    ]  # fmt: skip
+    ]
     assert found == pytest.approx([16.0, 17.6])
 
 
@@ -59,7 +62,11 @@ def test_friction_is_pressed_in_even_steps_and_resists() -> None:
     protocol = LoadingProtocol(step=0.5, max_force=1.5)
     window = Window(depth_from=2.0, depth_to=10.0)
     free, rubbed = (
-        indent(block_model(), KnownTissue(), protocol=protocol, tolerance=1e-3, change=change, window=window)
+        indent(
+            Press(meshed=block_model(), tissue=KnownTissue(), tolerance=1e-3, change=change),
+            protocol=protocol,
+            window=window,
+        )
         for change in (None, hide("friction=0.5").in_model)
     )
     assert len(rubbed.depth) == len(free.depth) == 4
@@ -67,7 +74,6 @@ def test_friction_is_pressed_in_even_steps_and_resists() -> None:
     press = Press(
         meshed=block_model(),
         tissue=KnownTissue(),
-        spacing=1.0,
         tolerance=1e-3,
         progress=SILENT,
         change=hide("friction=0.5").in_model,

@@ -20,7 +20,7 @@ from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.fit import FitOptions, fit
 from limbcli.stages.limb import LimbOptions, limb
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.report import report
 from limbcli.stages.run import run
 from limbcli.stages.segment import segment
@@ -32,7 +32,7 @@ pytestmark = pytest.mark.slow
 _QUICK = FitOptions(intervals=False, contact_check=False, boundary_check=False)
 STAGES: dict[str, Any] = {
     "segment": (segment, {}),
-    "mesh": (mesh, {"size": 7.0, "far_size": 12.0}),
+    "mesh": (mesh, {"options": MeshRequest(size=7.0, far_size=12.0)}),
     "build-feb": (build_feb, {}),
     "run": (run, {"solver": "reference"}),
     "fit": (fit, {"solver": "reference", "options": _QUICK}),

@@ -25,7 +25,7 @@ from limbcli.stages import limb as stage
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.limb_field.case_field import CaseField
 from limbcli.stages.limb_field.site_results import LimbReadings
-from limbcli.stages.segment import segment
+from limbcli.stages.segment import SegmentOptions, segment
 from limbcli.stiffness_field import Interval, SiteReading, limb_coordinates, stiffness_field
 from limbcli.surface_formats.aop import read_aop_limb
 from tests.meshing.stump import quickly_meshed, stump
@@ -275,7 +275,7 @@ def test_a_bone_through_the_skin_is_refused(tmp_path):
     case = write_case(tmp_path / "case", {**surfaces, "bone_tibia": out_of_it})
     with pytest.raises(CaseError, match="outside the skin"):
         segment(case, out=tmp_path / "out")
-    segment(case, out=tmp_path / "out", accept_bones=True)
+    segment(case, out=tmp_path / "out", options=SegmentOptions(accept_bones=True))
 
 
 def test_the_mean_limb_of_openlimb(shared: Path, tmp_path: Path):

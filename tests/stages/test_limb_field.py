@@ -22,7 +22,7 @@ from limbcli.stages.limb_field.site_results import (
     of_fit,
     site_results,
 )
-from limbcli.stiffness_field import LABELS
+from limbcli.stiffness_field import LABELS, limb_coordinates
 from tests.stiffness_field import synthetic as limb
 
 NOT_KEPT = Mock(spec=StageWriter)
@@ -181,7 +181,9 @@ def test_a_map_is_left_out_where_the_diagnosis_says_that_speeds_are_misread(meas
 
 def test_the_field_of_a_case_in_one_call(measured):
     there = Results(mesh=mesh(), fit=result("fit", FIT))
-    found = case_field(measured, there, limb.SKIN, limb.BONES, limb.AXIS, NOT_KEPT)
+    found = case_field(
+        measured, there, limb_coordinates(limb.SKIN, limb.BONES, limb.AXIS, where="S1"), NOT_KEPT
+    )
     c, low, high, label, distance = found.element_columns(limb.region(HEIGHT, ANGLE))
     assert ((low < c) & (c < high)).all()
     assert np.exp(np.log(c).mean()) == pytest.approx(0.008, rel=0.05)
@@ -247,7 +249,7 @@ def test_the_population_of_a_cohort_is_the_prior(cohort):
 def test_far_from_the_only_site_the_field_is_drawn_to_the_population(measured, cohort):
     """Of people with 5 kPa, at a limb whose site says 8 kPa: less than with the usual prior of 8 kPa."""
     there = Results(mesh=mesh(), fit=result("fit", FIT))
-    given = (measured, there, limb.SKIN, limb.BONES, limb.AXIS, NOT_KEPT)
+    given = (measured, there, limb_coordinates(limb.SKIN, limb.BONES, limb.AXIS, where="S1"), NOT_KEPT)
     usual, known = case_field(*given), case_field(*given, cohort=cohort, location="LL_P")
     far = limb.region(HEIGHT - 60.0, ANGLE + np.pi)
     drop = np.log(known.element_columns(far)[0] / usual.element_columns(far)[0])

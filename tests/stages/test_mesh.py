@@ -26,7 +26,7 @@ from limbcli.site_model.mesh_checks import (
     moved_warnings,
     warnings_now,
 )
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.segment import segment
 from limbcli.stages.segmenting.surfaces import read_surfaces
 
@@ -89,7 +89,7 @@ def folder(tmp_path_factory) -> Path:
 def out(folder, tmp_path_factory) -> Path:
     out = tmp_path_factory.mktemp("out")
     segment(Case.open(folder), out=out)
-    mesh(Case.open(folder), out=out, sites=["p1"], size=4.0, far_size=10.0)
+    mesh(Case.open(folder), out=out, sites=["p1"], options=MeshRequest(size=4.0, far_size=10.0))
     return out
 
 
@@ -133,7 +133,7 @@ def test_a_long_axis_far_out_of_the_skin_is_told(folder, tmp_path):
     (tmp_path / "rough" / "case.toml").write_text(text)
     case = Case.open(tmp_path / "rough")
     segment(case, out=tmp_path / "out")
-    (result,) = mesh(case, out=tmp_path / "out", sites=["p1"], size=6.0, far_size=15.0)
+    (result,) = mesh(case, out=tmp_path / "out", sites=["p1"], options=MeshRequest(size=6.0, far_size=15.0))
     assert result.data["frame"]["long_axis_slope_deg"] == pytest.approx(26.6, abs=0.1)
     assert any("leaves the skin by 27 degrees" in each for each in result.warnings)
 
@@ -146,14 +146,17 @@ def test_a_place_that_was_corrected_is_not_told_as_it_was(folder, tmp_path):
     assert any("site p1 lies" in each for each in before.warnings)
     (tmp_path / "case" / "case.toml").write_text(CASE)
     (result,) = mesh(
-        Case.open(tmp_path / "case"), out=tmp_path / "out", sites=["p1"], size=6.0, far_size=15.0
+        Case.open(tmp_path / "case"),
+        out=tmp_path / "out",
+        sites=["p1"],
+        options=MeshRequest(size=6.0, far_size=15.0),
     )
     assert not any("site p1 lies" in each for each in result.warnings)
 
 
 def test_sizes_out_of_range_are_refused(folder, out):
     with pytest.raises(CaseError, match="--size-mm"):
-        mesh(Case.open(folder), out=out, sites=["p1"], size=0.1)
+        mesh(Case.open(folder), out=out, sites=["p1"], options=MeshRequest(size=0.1))
 
 
 def test_without_segment_it_says_what_to_run(folder, tmp_path):
@@ -195,15 +198,20 @@ def test_scans_stay_as_they_were_given_though_their_flat_ends_are_of_long_triang
 def test_layers_and_place_by_angle_and_height(folder, out, tmp_path):
     shutil.copytree(out / "segment", tmp_path / "segment")
     case = Case.open(folder)
-    result = mesh(case, out=tmp_path, sites=["p1"], size=4, far_size=10, fat_layer=4.0, place=(90.0, 60.0))[0]
+    result = mesh(
+        case,
+        out=tmp_path,
+        sites=["p1"],
+        options=MeshRequest(size=4, far_size=10, fat_layer=4.0, place=(90.0, 60.0)),
+    )[0]
     assert result.data["frame"]["skin_point_mm"] == pytest.approx([30, 0, 0], abs=0.6)
     model = load_model(result.path("model"))
     assert [each.name for each in model.mesh.solid_blocks] == ["tissue", "fat"]
     assert result.data["layers_made"]["at_centre"]["fat_mm"] == pytest.approx(4.0, abs=0.15)
     with pytest.raises(CaseError, match="several sites"):
-        mesh(case, out=tmp_path, place=(90.0, 60.0))
+        mesh(case, out=tmp_path, options=MeshRequest(place=(90.0, 60.0)))
     with pytest.raises(CaseError, match="--at is"):
-        mesh(case, out=tmp_path, sites=["p1"], place=(90.0, float("inf")))
+        mesh(case, out=tmp_path, sites=["p1"], options=MeshRequest(place=(90.0, float("inf"))))
 
 
 def checks(**changes: float | None) -> SiteChecks:

@@ -13,7 +13,10 @@ from limbcli.meshing.mending import mend
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions
 from limbcli.meshing.surfaces import Triangles
+from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.results import open_stage, read_result
+from limbcli.site_model import mesh_study
+from limbcli.site_model.mesh_inputs import MeshInputs
 from limbcli.site_model.mesh_study import (
     StudiedTissue,
     full_depth,
@@ -64,18 +67,21 @@ def case(tmp_path):
 
 
 @pytest.mark.slow
-def test_error_of_a_known_law_is_found(case, tmp_path):
+def test_error_of_a_known_law_is_found(case, tmp_path, monkeypatch):
     """A force of 5 + 0.01 h^2 N that a cut 20 mm farther would lower by 2 %."""
 
-    def force(model, depth):
+    def force(model, depth, tissue):
         assert depth == 3.0
         near = 1.02 if model.info["margin_mm"] < 30 else 1.0
         return near * (5 + 0.01 * model.info["size_under_probe_mm"] ** 2)
 
-    made = study_site(
-        case, case.sites[0], limb(), (0.0, 29.5, 0.0), OPTIONS, out=tmp_path / "out", force_of=force,
-        size_factors=(1.0, 1.3, 0.8), margin_factors=(1.0, 2.0),
-    )  # fmt: skip
+    monkeypatch.setattr(mesh_study, "reference_force", force)
+    monkeypatch.setattr(mesh_study, "SIZE_FACTORS", (1.0, 1.3, 0.8))
+    monkeypatch.setattr(mesh_study, "MARGIN_FACTORS", (1.0, 2.0))
+    with open_stage(tmp_path / "out", "segment", subject="S1") as writer:
+        pass
+    inputs = MeshInputs(CaseInputs(case), writer.result, {})
+    made = study_site(inputs, case.sites[0], limb(), OPTIONS, out=tmp_path / "out")
     assert made.data["force_extrapolated_n"] == pytest.approx(1.02 * 5)
     assert made.data["order"] == pytest.approx(2.0)
     assert made.data["size_error_fraction"] == pytest.approx(1.25 * 0.01 * 25 / 5)

@@ -23,7 +23,7 @@ from limbcli.phantom.mri import acquire, tissue_fractions
 from limbcli.phantom.subject import make_subject
 from limbcli.progress import Progress
 from limbcli.results import read_result
-from limbcli.stages.segment import edited_labels, segment
+from limbcli.stages.segment import SegmentOptions, edited_labels, segment
 from tests.meshing.conftest import tube
 
 pytestmark = [pytest.mark.slow, pytest.mark.usefixtures("coarse")]
@@ -114,7 +114,11 @@ def test_of_two_limbs_in_view_the_cases_own_is_wanted_unless_another_is_asked_fo
 
     monkeypatch.setattr("limbcli.stages.segment.segment_limb", failing)
     with pytest.raises(CaseError, match="enough"):
-        segment(replace(case_with(tmp_path, mri=series), limb="right"), out=tmp_path / "out", limb=requested)
+        segment(
+            replace(case_with(tmp_path, mri=series), limb="right"),
+            out=tmp_path / "out",
+            options=SegmentOptions(limb=requested),
+        )
     assert wanted == [side]
 
 
@@ -345,7 +349,7 @@ def test_a_label_map_without_bone_is_refused(segmented, tmp_path):
 def test_smoothing_that_takes_much_of_a_thin_bone_is_told(segmented, tmp_path):
     _, first, _ = segmented
     case = case_with(tmp_path, labels=first.path("labels"))
-    result = segment(case, out=tmp_path, smooth=3.0)
+    result = segment(case, out=tmp_path, options=SegmentOptions(smooth=3.0))
     (said,) = (each for each in result.warnings if "smoothing took" in each)
     assert "bone_fibula" in said
     assert not any("smoothing took" in each for each in first.warnings)
@@ -353,4 +357,8 @@ def test_smoothing_that_takes_much_of_a_thin_bone_is_told(segmented, tmp_path):
 
 def test_an_unknown_seed_is_refused(series, tmp_path):
     with pytest.raises(CaseError, match="seed"):
-        segment(case_with(tmp_path, mri=series), out=tmp_path, seeds=[("fat", (0.0, 0.0, 0.0))])
+        segment(
+            case_with(tmp_path, mri=series),
+            out=tmp_path,
+            options=SegmentOptions(seeds=[("fat", (0.0, 0.0, 0.0))]),
+        )

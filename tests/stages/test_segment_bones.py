@@ -15,7 +15,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.provenance.batch_memory import Memory
 from limbcli.provenance.remaking_command import CommandStep
 from limbcli.stages.check_geometry import geometry_findings
-from limbcli.stages.segment import segment
+from limbcli.stages.segment import SegmentOptions, segment
 from limbcli.surface_formats.aop import read_aop_limb
 from tests.meshing.conftest import tube
 from tests.stages.test_segment import case_with
@@ -59,7 +59,7 @@ def test_every_bone_outside_is_named(tmp_path):
 
 def test_an_accepted_bone_outside_is_left_out_with_a_warning(tmp_path):
     case = limb(tmp_path, fibula_at=70.0)
-    found = segment(case, out=tmp_path / "out", accept_bones=True)
+    found = segment(case, out=tmp_path / "out", options=SegmentOptions(accept_bones=True))
     assert [name for name in found.files if name.startswith("bone_")] == ["bone_tibia"]
     (told,) = [each for each in found.warnings if "bone_fibula" in each]
     assert "by up to 36 mm" in told
@@ -69,7 +69,9 @@ def test_an_accepted_bone_outside_is_left_out_with_a_warning(tmp_path):
 
 
 def test_of_an_accepted_bone_across_the_skin_the_part_inside_is_kept(tmp_path):
-    found = segment(limb(tmp_path, fibula_at=40.0), out=tmp_path / "out", accept_bones=True)
+    found = segment(
+        limb(tmp_path, fibula_at=40.0), out=tmp_path / "out", options=SegmentOptions(accept_bones=True)
+    )
     bone = read_surface(found.path("bone_fibula"))
     assert bone.is_closed
     assert np.hypot(*bone.points[:, :2].T).max() < 40.3
@@ -80,14 +82,19 @@ def test_of_an_accepted_bone_across_the_skin_the_part_inside_is_kept(tmp_path):
 
 def test_a_limb_without_any_bone_inside_is_refused_even_so(tmp_path):
     with pytest.raises(CaseError, match="no bone lies inside the skin"):
-        segment(limb(tmp_path, fibula_at=70.0, bones=("fibula",)), out=tmp_path / "out", accept_bones=True)
+        segment(
+            limb(tmp_path, fibula_at=70.0, bones=("fibula",)),
+            out=tmp_path / "out",
+            options=SegmentOptions(accept_bones=True),
+        )
 
 
 def test_bones_inside_are_the_same_accepted_or_not(tmp_path):
     """Also those that look out by less than counts, or beyond the limb's cut ends."""
     case = limb(tmp_path, fibula_at=35.5)  # 1.5 mm out
     plain, accepted = (
-        segment(case, out=tmp_path / str(accept), accept_bones=accept) for accept in (False, True)
+        segment(case, out=tmp_path / str(accept), options=SegmentOptions(accept_bones=accept))
+        for accept in (False, True)
     )
     assert plain.warnings == accepted.warnings
     assert not any("outside" in each for each in plain.warnings)
@@ -111,7 +118,7 @@ def test_check_says_where_a_site_has_other_than_two_bones(tmp_path):
 
 
 def test_the_skin_is_also_an_aop_on_request(tmp_path):
-    found = segment(limb(tmp_path), out=tmp_path / "out", aop=True)
+    found = segment(limb(tmp_path), out=tmp_path / "out", options=SegmentOptions(aop=True))
     written = read_aop_limb(found.path("aop"))
     assert written.side == "left"
     np.testing.assert_allclose(written.radii, 40.0, rtol=0.02)  # a prism of many sides

@@ -24,7 +24,7 @@ from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.session import ReferenceSession
 from limbcli.solvers.solver import Simulation, Table
 from limbcli.stages.check import check
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.report import report
 from limbcli.stages.running.vtu import write_step
 from limbcli.stages.segment import segment
@@ -56,7 +56,7 @@ def made(tmp_path_factory) -> tuple[Path, Path]:
     (folder / "levels.csv").write_text("force_n,depth_mm\n0.5,0\n2,2\n")
     case = case_with(folder, TOLD)
     segment(case, out=out)
-    mesh(case, out=out, size=5.0, far_size=12.0)
+    mesh(case, out=out, options=MeshRequest(size=5.0, far_size=12.0))
     return folder, out
 
 

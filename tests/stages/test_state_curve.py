@@ -46,7 +46,6 @@ def curve():
         DEPTHS,
         c=state_case.C,
         density_kg_per_m3=1000.0,
-        threads=1,
     )
     yield made
     made.close()
@@ -193,7 +192,7 @@ def test_residuals_of_states_have_the_slopes_of_their_differences(curve):
 def test_fibres_go_with_a_prestretch():
     """Stretched along them the tissue resists more than where they are slack; derivatives are exact."""
     law, theta = LAWS["fibres"], np.array([3.0, 1.0, 0.5, 1.1])  # m, fibre_shear, fibre_tension, along
-    made = StateCurve(built(), law, ("along",), DEPTHS, c=state_case.C, density_kg_per_m3=1000.0, threads=1)
+    made = StateCurve(built(), law, ("along",), DEPTHS, c=state_case.C, density_kg_per_m3=1000.0)
     try:
         found, n = made(theta, (0, 1, 2, 3)), len(DEPTHS)
         for k in range(4):

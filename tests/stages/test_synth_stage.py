@@ -20,7 +20,7 @@ from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages import synth as synth_module
 from limbcli.stages.build_feb import TissueOptions, build_feb
-from limbcli.stages.mesh import mesh
+from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.phantom import PhantomOptions, phantom
 from limbcli.stages.segment import segment
 from limbcli.stages.simulated_subjects.indent import KnownTissue, depths_to
@@ -48,7 +48,7 @@ def limb(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         coarse_surfaces(patch)
         segment(case, out=folder / "out")
-    mesh(case, out=folder / "out", size=5.0, far_size=12.0)
+    mesh(case, out=folder / "out", options=MeshRequest(size=5.0, far_size=12.0))
     return folder
 
 

@@ -20,7 +20,7 @@ from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.results import open_stage
 from limbcli.shear_waves.pixels import Window
 from limbcli.stages.simulated_subjects.hidden_effects import hide
-from limbcli.stages.simulated_subjects.indent import KnownTissue, indent
+from limbcli.stages.simulated_subjects.indent import KnownTissue, Press, indent
 from limbcli.stages.simulated_subjects.known_stretches import (
     KnownStretches,
     known_stretches,
@@ -91,7 +91,9 @@ def test_levels_of_a_state_are_those_of_the_curve_that_is_fitted():
     for stretch in (0.8, 1.15):
         depth, speed = state_case.true_levels(made, [stretch])
         found = indent(
-            block.block_model(), TISSUE, protocol=PROTOCOL, window=Window(pixel=2.0), stretch=(1.0, stretch)
+            Press(meshed=block.block_model(), tissue=TISSUE, stretch=(1.0, stretch)),
+            protocol=PROTOCOL,
+            window=Window(pixel=2.0),
         )
         read = [float(each.speed_m_per_s.mean()) for each in found.maps]
         n = min(len(depth), len(found.depth))
@@ -104,7 +106,10 @@ def test_levels_of_a_state_are_those_of_the_curve_that_is_fitted():
 @pytest.mark.slow
 def test_fibres_in_the_tissue_can_be_hidden_and_a_tilted_probe_cannot():
     plain, fibred = (
-        indent(block.block_model(), TISSUE, protocol=PROTOCOL, stretch=(1.1, 1.0), change=change)
+        indent(
+            Press(meshed=block.block_model(), tissue=TISSUE, stretch=(1.1, 1.0), change=change),
+            protocol=PROTOCOL,
+        )
         for change in (None, hide("anisotropy").in_model)
     )
     assert fibred.depth[-1] < plain.depth[-1]  # pulled fibres bear load
@@ -113,7 +118,10 @@ def test_fibres_in_the_tissue_can_be_hidden_and_a_tilted_probe_cannot():
         if change is None:
             continue
         with pytest.raises(CaseError, match="only effects in the elastic law of its tissue can be hidden"):
-            indent(block.block_model(), TISSUE, protocol=PROTOCOL, stretch=(1.1, 1.0), change=change)
+            indent(
+                Press(meshed=block.block_model(), tissue=TISSUE, stretch=(1.1, 1.0), change=change),
+                protocol=PROTOCOL,
+            )
 
 
 def states_of(root: Path, given, known: KnownStretches, *, more: str = ""):

@@ -118,7 +118,7 @@ def test_there_and_back(tmp_path):
     faces = np.r_[np.c_[here, after, after + 72], np.c_[here, after + 72, here + 72]]
     points = rows.reshape(-1, 3) + np.array([100.0, -30, 500])
     mark = points[10 * 72 + 7]
-    limb, axis = aop_limb(points, faces, side="left", landmarks={"tubercle": mark}, n_angles=72)
+    limb, axis = aop_limb(points, faces, side="left", landmarks={"tubercle": mark})
     write_aop(tmp_path / "a.aop", limb, comments=["made in a test"])
     back = read_aop_limb(tmp_path / "a.aop")
     assert back.side == "left"

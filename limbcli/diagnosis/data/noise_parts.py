@@ -12,10 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.case import StatedNoise
-from limbcli.diagnosis.data.held_forces import HeldForces
 from limbcli.diagnosis.data.layer_rows import layer_noise
-from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, ExtraMeasurement, SiteRows, Stacked, within
+from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, SiteReadings, SiteRows, Stacked, travel_zero, within
 from limbcli.diagnosis.explanations.model.noise_covariance import (
     NoisePart,
     common,
@@ -27,7 +25,6 @@ from limbcli.effects.reading import Protocol
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
-from limbcli.site_model.layer_readings import LayerReadings
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMPRESSIBILITY = "model: f-kappa"
@@ -58,6 +55,7 @@ _BESIDE_UNSEEN = 0.15
 BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1  # name, and smallest fraction of it
 _TOUCHES, _WHOLE = 1.5, 0.95  # adjacent: distance of centres in sides of a part; complete: fraction of pixels
 FEWEST_SMOOTH = 4  # fewest levels for a smooth depth-force curve
+USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
 _STEEP, _STRAIGHT = 0.01, 10.0  # range of `SmoothDepth.unit`, as a multiple of the largest force
 
 
@@ -76,6 +74,22 @@ class ModelError:
     correlation: float | None = None
     depth: float = 0.0
     strain: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class KnownErrors:
+    """What is known of how far a site's model is off.
+
+    errors : for all rows of the level table; map_share : factor on the usual model error in maps
+    map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
+    thickness : mm, skin to bone; bone_as_shown : see `SiteData`
+    """
+
+    errors: Sequence[ModelError] = ()
+    map_share: float = 1.0
+    map_slopes: Array | None = None
+    thickness: float = USUAL_THICKNESS
+    bone_as_shown: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,17 +171,14 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    protocol: Protocol, stacked: Stacked, slope: Array, noise: StatedNoise, keep: IntArray, *,
-    model_error: Sequence[ModelError], maps: MapNoise | None, map_share: float, travel_from: int,
-    layers: LayerReadings | None, held: HeldForces | None, extras: Sequence[ExtraMeasurement],
+    seen: SiteReadings, protocol: Protocol, stacked: Stacked, slope: Array, keep: IntArray, *,
+    maps: MapNoise | None, model: KnownErrors,
 ) -> list[NoisePart]:  # fmt: skip
     """All noise parts of a site's data.
 
-    slope (n,) : change of each datum with depth; travel_from : reference level of the probe's travel
-    maps : noise of the parts of maps, if there are any; map_share : fraction of the model's usual error in
-    them
+    slope (n,) : change of each datum with depth; maps : noise of the parts of maps, if there are any
     """
-    rows, y, own = stacked.rows, stacked.y, stacked.own
+    noise, rows, y, own = seen.noise, stacked.rows, stacked.y, stacked.own
     source, is_map = noise.source, rows.among("map")
     level = np.minimum(rows.level, len(protocol) - 1)
     exact = (protocol.force == 0.0) & (protocol.depth == 0.0)
@@ -180,7 +191,7 @@ def noise_parts(
         mine = rows.where(is_map)
         parts += [
             within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, own[is_map]), source),
-            within(IN_MAPS, is_map, maps.of_model(mine, map_share), "computed"),
+            within(IN_MAPS, is_map, maps.of_model(mine, model.map_share), "computed"),
             within(BESIDE, is_map, maps.beside_unseen(mine, own[is_map]), "assumed"),
             of_groups("measurement: speeds of a level", np.where(is_map, noise.swe_level_fraction, 0.0),
                       rows.level, source=source),
@@ -188,7 +199,7 @@ def noise_parts(
     speeds = rows.among("swe", "map")
     if speeds.any():
         parts.append(common(GAIN_OF_SPEEDS, np.where(speeds, COMMON_GAIN, 0.0), source="assumed"))
-    for each in model_error:
+    for each in model.errors:
         direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
         pressed = protocol.depth[level]  # 0 at rest: no error there
         shift = each.depth * (pressed > 0) + each.strain * pressed
@@ -198,16 +209,18 @@ def noise_parts(
         else:
             along, alike = rows.level.astype(float), each.correlation
             parts.append(correlated(each.name, direction, along, correlation=alike, source="computed"))
-    parts += layer_noise(layers, protocol, rows, y, source)
-    if held is not None:
-        parts.append(within("measurement: forces in holds", rows.among("hold"), held.covariance, source))
+    parts += layer_noise(seen.layers, protocol, rows, y, source)
+    if seen.held is not None:
+        covariance = seen.held.covariance
+        parts.append(within("measurement: forces in holds", rows.among("hold"), covariance, source))
     parts += [
         within(f"model: {each.name}", rows.among(each.name), each.model_error, "computed")
-        for each in extras if each.model_error is not None
+        for each in seen.extras if each.model_error is not None
     ]  # fmt: skip
     if (travels := rows.among("travel")).any():
         # of the travel reading and the depth at the reference level; a depth of 0 is zero by definition
-        zero = np.hypot(TRAVEL_DEVIATION, noise.depth if protocol.depth[travel_from] != 0.0 else 0.0)
+        moved = protocol.depth[travel_zero(seen.levels, keep)] != 0.0
+        zero = np.hypot(TRAVEL_DEVIATION, noise.depth if moved else 0.0)
         parts.append(common("measurement: zero of the travel", zero * travels, source=source))
     return parts
 

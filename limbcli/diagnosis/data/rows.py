@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -107,18 +107,33 @@ class ExtraMeasurement:
     model_error: Array | None = None
 
 
-def measured_rows(
-    levels: Levels, keep: IntArray, protocol: Protocol, noise: StatedNoise, *, windows: Windows,
-    maps: Sequence[SweMap] | None, usable: Mask | None, layers: LayerReadings | None,
-    held: HeldForces | None, extras: Sequence[ExtraMeasurement],
-) -> Stacked:  # fmt: skip
+@dataclass(frozen=True, eq=False)
+class SiteReadings:
+    """What was measured at a site: its levels and what belongs to them, and the noise stated for them.
+
+    usable : parts (n_parts,) of a map that the model shows at every level; None: all
+    layers : readings of the layers that the models track
+    """
+
+    levels: Levels
+    noise: StatedNoise
+    _: KW_ONLY
+    windows: Windows
+    maps: Sequence[SweMap] | None = None
+    usable: Mask | None = None
+    layers: LayerReadings | None = None
+    held: HeldForces | None = None
+    extras: Sequence[ExtraMeasurement] = ()
+
+
+def measured_rows(seen: SiteReadings, keep: IntArray, protocol: Protocol) -> Stacked:
     """The data of all channels that a measurement has; keep (n_levels used,) : indices of the levels in the
-    protocol, usable : see `site_data`."""
+    protocol."""
     return Stacked.together([
-        _force_rows(protocol, noise), _speed_rows(levels, keep, noise, windows, maps, usable),
-        _travel_rows(levels, keep), _thickness_rows(levels, keep), _layer_rows(layers, keep),
-        _hold_rows(held),
-        *(Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in extras),
+        _force_rows(protocol, seen.noise), _speed_rows(seen, keep),
+        _travel_rows(seen.levels, keep), _thickness_rows(seen.levels, keep), _layer_rows(seen.layers, keep),
+        _hold_rows(seen.held),
+        *(Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in seen.extras),
     ])  # fmt: skip
 
 
@@ -128,14 +143,9 @@ def _force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
     return Stacked.of("force", used, protocol.force[used], noise.force)
 
 
-def _speed_rows(
-    levels: Levels, keep: IntArray, noise: StatedNoise, windows: Windows, maps: Sequence[SweMap] | None,
-    usable: Mask | None = None,
-) -> Stacked:  # fmt: skip
-    """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps.
-
-    usable : parts (n_parts,) that the model shows at every level; None: all
-    """
+def _speed_rows(seen: SiteReadings, keep: IntArray) -> Stacked:
+    """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps."""
+    levels, noise, windows, maps, usable = seen.levels, seen.noise, seen.windows, seen.maps, seen.usable
     if maps is not None and len(maps) == len(levels):
         tables = np.array([windows.log_means(maps[k]) for k in keep]).reshape(-1, 2, 1 + windows.n_parts)
         means, counts = tables[:, 0, 1:], tables[:, 1, 1:]

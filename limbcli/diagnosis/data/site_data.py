@@ -14,8 +14,8 @@ from limbcli.diagnosis.data.layer_rows import layer_slopes
 from limbcli.diagnosis.data.noise_parts import (
     FEWEST_SMOOTH,
     STRAIN,
+    KnownErrors,
     MapNoise,
-    ModelError,
     SmoothDepth,
     depth_slopes,
     noise_parts,
@@ -24,6 +24,7 @@ from limbcli.diagnosis.data.noise_parts import (
 from limbcli.diagnosis.data.rows import (
     LAYER,
     ExtraMeasurement,
+    SiteReadings,
     SiteRows,
     measured_rows,
     travel_zero,
@@ -34,12 +35,9 @@ from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
 from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
-from limbcli.site_model.layer_readings import LayerReadings
 
-USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
 _STRAIN_STEP = 0.01  # relative step of the derivative with respect to all strains
 _SPEED_STEP = 1e-3  # the same of that with respect to ln of all speeds
 _DEPTH_OUTLIER_SD = 4.0  # largest error of a depth reading that is corrected, in its standard deviations
@@ -206,36 +204,18 @@ class SiteData:
         return {name: (k, self.rows.level[k], self.rows.part[k]) for name, k in places.items()}
 
 
-def site_data(
-    name: str, levels: Levels, noise: StatedNoise, *, windows: Windows, maps: Sequence[SweMap] | None = None,
-    model_error: Sequence[ModelError] = (), held: HeldForces | None = None,
-    extras: Sequence[ExtraMeasurement] = (), usable: Mask | None = None,
-    thickness: float = USUAL_THICKNESS, map_share: float = 1.0,
-    map_slopes: Array | None = None, layers: LayerReadings | None = None, bone_as_shown: bool = False,
-) -> SiteData:  # fmt: skip
-    """Stack the channels that this measurement has.
-
-    model_error : known model errors, for all rows of the level table
-    usable : parts (n_parts,) of a map that the model shows at every level; None: all
-    thickness : mm, skin to bone; map_share : factor on the usual model error in maps
-    map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
-    layers : readings of the layers that the models track; bone_as_shown : see `SiteData`
-    """
+def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors()) -> SiteData:
+    """Stack the channels that this measurement has."""
+    levels, noise, windows, maps = seen.levels, seen.noise, seen.windows, seen.maps
     keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
     protocol = readings(levels)
-    smooth, zero = SmoothDepth.through(protocol), travel_zero(levels, keep)
-    stacked = measured_rows(
-        levels, keep, protocol, noise, windows=windows, maps=maps, usable=usable, layers=layers, held=held,
-        extras=extras,
-    )  # fmt: skip
+    smooth, stacked = SmoothDepth.through(protocol), measured_rows(seen, keep, protocol)
     rows, y = stacked.rows, stacked.y
-    slope = depth_slopes(protocol, rows, y, map_slopes)
-    slope = slope + layer_slopes(layers, protocol, smooth.place(protocol.force), rows, y)
-    of_maps = None if maps is None else map_noise(windows, maps, noise, smooth.at(protocol.force) / thickness)
-    parts = noise_parts(
-        protocol, stacked, slope, noise, keep, model_error=model_error, maps=of_maps, map_share=map_share,
-        travel_from=zero, layers=layers, held=held, extras=extras,
-    )  # fmt: skip
+    slope = depth_slopes(protocol, rows, y, model.map_slopes)
+    slope = slope + layer_slopes(seen.layers, protocol, smooth.place(protocol.force), rows, y)
+    strain = smooth.at(protocol.force) / model.thickness
+    of_maps = None if maps is None else map_noise(windows, maps, noise, strain)
+    parts = noise_parts(seen, protocol, stacked, slope, keep, maps=of_maps, model=model)
     data = Data(
         y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
         groups=_groups(rows, protocol, windows), blocks=_blocks(rows),
@@ -245,10 +225,11 @@ def site_data(
     channels = (*rows.channels(), *(("swe",) if "map" in rows.channels() else ()))
     return SiteData(
         name=name, protocol=protocol, rows=rows, data=data, channels=channels,
-        missing=tuple(each for each in _CHANNELS if each not in channels), held=held, extras=tuple(extras),
-        slope=slope, depth_error=noise.depth, travel_from=zero,
-        strain_deviation=next((each.strain for each in model_error if each.name == STRAIN), 0.0),
-        bone_as_shown=bone_as_shown,
+        missing=tuple(each for each in _CHANNELS if each not in channels), held=seen.held,
+        extras=tuple(seen.extras), slope=slope, depth_error=noise.depth,
+        travel_from=travel_zero(levels, keep),
+        strain_deviation=next((each.strain for each in model.errors if each.name == STRAIN), 0.0),
+        bone_as_shown=model.bone_as_shown,
     )  # fmt: skip
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnosis.data.noise_parts import SmoothDepth, maps_model_error
+from limbcli.diagnosis.data.noise_parts import USUAL_THICKNESS, SmoothDepth, maps_model_error
 from limbcli.diagnosis.data.rows import ExtraMeasurement
-from limbcli.diagnosis.data.site_data import USUAL_THICKNESS, SiteData
+from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Proposal
 from limbcli.diagnosis.forward_model.predictions import Predictions
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves

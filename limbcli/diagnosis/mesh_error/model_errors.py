@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 
 from limbcli.case import Case, Site
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, where_solved
-from limbcli.diagnosis.data.noise_parts import IN_MEAN, STRAIN, ModelError
-from limbcli.diagnosis.data.site_data import USUAL_THICKNESS
+from limbcli.diagnosis.data.noise_parts import IN_MEAN, STRAIN, USUAL_THICKNESS, ModelError
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, NumericalChecks, at_depths
 from limbcli.effects.curves import Curves, gaps_filled

@@ -38,23 +38,16 @@ def convergence(result: StageResult, _: ReportData, site: SiteMaterial) -> Repor
     )
 
 
-PROFILES_TITLE = "How well do the data constrain each parameter?"
-
-
-def profiles(page: ReportData, site: SiteMaterial) -> Reportlet | None:
+@of_stage("fit", "profiles", "How well do the data constrain each parameter?", silent=True)
+def profiles(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Profile likelihoods computed by the fit, or None if there are none."""
-    result = page.outcomes.of("fit", site.name).usable
     alt = f"Profile likelihood of each parameter of site {site.name}; the shaded range is its 95 % interval."
-    key = f"profiles-{site.name}"
-    pictures = pictures_of(result, {"profiles": (key, alt)}) if result is not None else ()
-    if result is None or not pictures:
+    pictures = pictures_of(result, {"profiles": (f"profiles-{site.name}", alt)})
+    if not pictures:
         return None
     step = read_fit_view(result).last
     return Reportlet(
-        key,
-        PROFILES_TITLE,
-        "fine" if step and all(each.is_sound for each in step.estimates) else "warning",
-        site.name,
+        mood="fine" if step and all(each.is_sound for each in step.estimates) else "warning",
         pictures=pictures,
         look_for="a valley with steep sides around the fitted value: the data exclude values beyond the "
         "shaded range (the curve weights the levels by their noise, the published fit weights them "

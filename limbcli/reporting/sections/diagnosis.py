@@ -20,7 +20,7 @@ _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
 def diagnosis(result: StageResult, page: ReportData, site: SiteMaterial) -> Reportlet:
     """Verdict, gap before and after, candidates and undetectable effects."""
     try:
-        fit = page.outcomes.of("fit", site.name).usable
+        fit = page.outcomes.usable("fit", site.name)
         return _section(site, result, read_fit_view(fit) if fit else None)
     except UNLIKE_OURS as error:
         text = f"Its result cannot be shown ({type(error).__name__}: {error}); run it again."
@@ -66,11 +66,9 @@ def _against_the_fit(data: Mapping[str, Any], fit: FitView | None) -> tuple[str,
 
 def in_short(page: ReportData, site: SiteMaterial) -> str | None:
     """One line: what is missing, and the gap before and after; None without a result of `diagnose`."""
-    outcome = page.outcomes.maybe("diagnose", site.name)
-    if outcome is None or outcome.usable is None:
-        return None
+    result = page.outcomes.usable("diagnose", site.name)
     try:
-        return in_words(outcome.usable.data)
+        return None if result is None else in_words(result.data)
     except UNLIKE_OURS:
         return None
 

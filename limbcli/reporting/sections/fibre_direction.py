@@ -7,28 +7,24 @@ from typing import Any
 
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Reportlet, pictures_of
+from limbcli.reporting.sections.of_stage import of_stage
+from limbcli.results import StageResult
 
-TITLE = "Which way do the muscle fibres run?"
 _USE = (
     "The direction is used by “anisotropy” and “contraction” of a diagnosis and by the law “fibres” of a "
     "joint fit; the Ogden-type law has no fibres."
 )
 
 
-def fibres(page: ReportData, site: SiteMaterial) -> Reportlet | None:
+@of_stage("mesh", "fibres", "Which way do the muscle fibres run?", silent=True)
+def fibres(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet | None:
     """The picture and sentences written by `mesh`; None if it was not run."""
-    result = page.outcomes.of("mesh", site.name).usable
-    found = result.data.get("fibres") if result is not None else None
-    if result is None or not isinstance(found, Mapping):
+    found = result.data.get("fibres")
+    if not isinstance(found, Mapping):
         return None
-    key = f"fibres-{site.name}"
     alt = f"Two cuts through site {site.name} with the direction of the muscle fibres as short lines."
     return Reportlet(
-        key,
-        TITLE,
-        "neutral",
-        site.name,
-        pictures=pictures_of(result, {"fibre_picture": (key, alt)}),
+        pictures=pictures_of(result, {"fibre_picture": (f"fibres-{site.name}", alt)}),
         look_for="lines that run as the muscle does: along the limb, or at its pennation angle",
         bad="lines that point out of the skin or cross the limb (wrong frame, flipped "
         "sign), or an unmeasured direction where a result depends on it",

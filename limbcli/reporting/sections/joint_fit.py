@@ -15,8 +15,6 @@ from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.reporting.sections.parameters import estimates_table
 from limbcli.results import StageResult
 
-LAWS_TITLE = "Which law predicts held-out levels best?"
-
 
 @of_stage("fit-joint", "fit-joint", "What do depth and shear waves show together?")
 def joint(result: StageResult, _: ReportData) -> Reportlet:
@@ -88,11 +86,10 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
     return notes
 
 
-def laws(page: ReportData) -> Reportlet | None:
+@of_stage("fit-joint", "laws", "Which law predicts held-out levels best?", silent=True)
+def laws(result: StageResult, _: ReportData) -> Reportlet | None:
     """The laws by their error on held-out levels; None if they were not compared, or a later run failed."""
-    outcome = page.outcomes.maybe("fit-joint")
-    result = outcome.usable if outcome is not None else None
-    if result is None or not result.data.get("laws"):
+    if not result.data.get("laws"):
         return None
     names = (
         "law", "parameters", "held-out depth [mm]", "held-out speed [%]", "chi-square", "c [kPa]",
@@ -100,8 +97,6 @@ def laws(page: ReportData) -> Reportlet | None:
     )  # fmt: skip
     caption = "Laws, best first, by the root-mean-square error of held-out levels"
     return Reportlet(
-        "laws",
-        LAWS_TITLE,
         tables=(table(caption, names, map(_law_row, result.data["laws"])),),
         look_for="a law that is better by more than the noise of the depth; among equally good laws the one "
         "with fewer parameters",

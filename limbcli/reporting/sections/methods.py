@@ -82,13 +82,13 @@ def methods_paragraphs(page: ReportData, own: Mapping[str, Any]) -> list[str]:
 
 
 def _fit(page: ReportData, site: SiteMaterial) -> FitView | None:
-    found = page.outcomes.maybe("fit", site.name)
-    return None if found is None or found.usable is None else read_fit_view(found.usable)
+    found = page.outcomes.usable("fit", site.name)
+    return None if found is None else read_fit_view(found)
 
 
 def _data(page: ReportData, stage: str, site: str | None = None) -> Mapping[str, Any]:
-    found = page.outcomes.maybe(stage, site)
-    return {} if found is None or found.usable is None else found.usable.data
+    found = page.outcomes.usable(stage, site)
+    return {} if found is None else found.data
 
 
 def _geometry(page: ReportData) -> str:

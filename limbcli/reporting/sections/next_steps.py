@@ -14,8 +14,8 @@ from limbcli.reporting.report_data import ReportData, SiteMaterial
 def next_steps(page: ReportData, site: SiteMaterial, view: FitView) -> tuple[str, ...]:
     """Sentences, the most informative first; empty if nothing is left to measure."""
     steps = []
-    diagnosed = page.outcomes.maybe("diagnose", site.name)
-    found = None if diagnosed is None or diagnosed.usable is None else diagnosed.usable.data
+    diagnosed = page.outcomes.usable("diagnose", site.name)
+    found = None if diagnosed is None else diagnosed.data
     if view.force.state == "bad":
         steps.append(
             "Check the units, signs and zeros of force and depth, then repeat the measurement: no "

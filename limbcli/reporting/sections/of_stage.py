@@ -11,16 +11,17 @@ from limbcli.reporting.reportlet import Reportlet, placeholder
 
 
 def of_stage(
-    stage: str, key: str, title: str
-) -> Callable[[Callable[..., Reportlet]], Callable[..., Reportlet | None]]:
+    stage: str, key: str, title: str, *, silent: bool = False
+) -> Callable[[Callable[..., Reportlet | None]], Callable[..., Reportlet | None]]:
     """Decorator of a section about a stage, of the subject or of one site, which is called with its result.
 
     A stage that failed, or has yet to be run, gives a placeholder; an optional one that was not run, None.
 
     key : unique on the page, of a site with the site's name
+    silent : None instead of a placeholder, where another section tells that there is no result
     """
 
-    def decorate(section: Callable[..., Reportlet]) -> Callable[..., Reportlet | None]:
+    def decorate(section: Callable[..., Reportlet | None]) -> Callable[..., Reportlet | None]:
         @functools.wraps(section)
         def shown(page: ReportData, site: SiteMaterial | None = None) -> Reportlet | None:
             name = site.name if site else None
@@ -29,9 +30,9 @@ def of_stage(
             if outcome is None:
                 return None
             if outcome.usable is None:
-                return placeholder(own_key, title, outcome)
+                return None if silent else placeholder(own_key, title, outcome)
             made = section(outcome.usable, page, site) if site else section(outcome.usable, page)
-            return replace(made, key=own_key, title=made.title or title, site=name)
+            return made and replace(made, key=own_key, title=made.title or title, site=name)
 
         return shown
 

@@ -36,12 +36,13 @@ def site_steps(
     """The steps in order. `requested`: for each stage, the options of its last manual call."""
     from limbcli.stages.build_feb import TissueOptions, build_feb
     from limbcli.stages.fit import FitOptions, fit
-    from limbcli.stages.mesh import mesh
+    from limbcli.stages.mesh import MeshRequest, mesh
     from limbcli.stages.run import RunOptions, run
 
     common: dict[str, Any] = {"out": out, "progress": progress, "sites": [name]}
     solver: dict[str, Any] = {"solver": options.solver, "febio": options.febio}
     meshed = {**requested["mesh"], **({"element": options.element} if options.element else {})}
+    mesh_request = options_of(MeshRequest, meshed)
     tissue, ran, fitted = (requested[each] for each in SITE_STAGES[1:])
     templates = options.templates or path_of(tissue.get("templates"))
     of_model = [templates / "feb"] if templates and (templates / "feb").is_dir() else []
@@ -55,7 +56,7 @@ def site_steps(
         return build_feb(case, options=tissue_options, templates=templates, **common)
 
     steps = [
-        SiteStep("mesh", parts_of(meshed), lambda: mesh(case, **meshed, **common)),
+        SiteStep("mesh", parts_of(meshed), lambda: mesh(case, options=mesh_request, **common)),
         SiteStep("build-feb", (*of_model, *parts_of(tissue)), build),
         SiteStep(
             "run",

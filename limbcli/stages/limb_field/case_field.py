@@ -11,7 +11,6 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
-from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.provenance.staleness import Chain
@@ -22,10 +21,10 @@ from limbcli.stiffness_field import (
     LABELS,
     PRIORS,
     FieldPrior,
+    LimbCoordinates,
     StiffnessField,
     contradictions,
     held_out,
-    limb_coordinates,
     stiffness_field,
 )
 from limbcli.stiffness_field.likelihood import REACH
@@ -102,26 +101,24 @@ class CaseField:
 
 
 def case_field(
-    case: Case, chain: Chain, skin: Triangles, bones: Sequence[Triangles], axis: Array, writer: StageWriter,
-    *, cohort: Path | None = None, location: str | None = None,
+    case: Case, chain: Chain, limb: LimbCoordinates, writer: StageWriter, *, cohort: Path | None = None,
+    location: str | None = None,
 ) -> CaseField:  # fmt: skip
     """The field of a case from the results in its output folder.
 
-    skin, bones, axis : mm, patient LPS; the axis towards proximal
     cohort, location : folder of a cohort's result, and its location whose population is the prior
 
     Raises
     ------
     CaseError
         If a result is out of date, or the cohort has no such location.
-    MeasurementError, FitError, MeshError
-        If a map, a reading or the surfaces cannot be used.
+    MeasurementError, FitError
+        If a map or a reading cannot be used.
     """
     results, priors = site_results(case, chain, writer), PRIORS
     if cohort is not None:
         priors = {**PRIORS, **cohort_priors(cohort, location)}
         writer.used("cohort", cohort / RESULT)
-    limb = limb_coordinates(skin, bones, axis, where=case.subject)
     return CaseField(stiffness_field(limb, results.sites, results.maps, priors=priors), results)
 
 

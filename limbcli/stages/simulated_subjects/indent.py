@@ -35,6 +35,7 @@ from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
 Change = Callable[[LimbModel], LimbModel]
 FIRST_PIECE = 6.0
 _DEEPEST = 40.0
+_SPACING = 1.0  # mm between simulated depths; the force is interpolated by PCHIP
 _STALLED = 5.0  # residual accepted where the iterations stall, as a multiple of the tolerance
 _ENOUGH = 1.02  # force at which the simulation ends, as a multiple of the last level's
 _LEAST_PIECE, _LARGEST_PIECE = 1.0, 7.0
@@ -51,20 +52,15 @@ class KnownTissue:
 
 
 def indent(
-    model: LimbModel, tissue: KnownTissue, *, protocol: LoadingProtocol, window: Window = Window(),
-    density_kg_per_m3: float = 1000.0, spacing: float = 1.0, tolerance: float = 1e-6,
-    progress: Progress = SILENT, change: Change | None = None, change_for_waves: Change | None = None,
-    borders: Array | None = None, stretch: tuple[float, float] | None = None,
+    press: Press, *, protocol: LoadingProtocol, window: Window = Window(), density_kg_per_m3: float = 1000.0,
+    change_for_waves: Change | None = None, borders: Array | None = None,
 ) -> TrueLevels:  # fmt: skip
     """The true values at every level of the protocol on a meshed site.
 
-    spacing : mm between simulated depths; the force is interpolated by PCHIP
-    tolerance : relative residual (norm of the residual over that of the forces)
-    change : change of the loaded model, including its tissue; speeds then follow from the changed law,
-        or from that of `change_for_waves`; the skin-bone distance is that of the changed model
+    In a state of stretch, depths and skin-bone distance are relative to first touch in that state.
+
+    change_for_waves : change of the model whose law gives the speeds; None: that of `press`
     borders : depths (2,) of the lower borders of skin and fat at rest, mm, to be tracked
-    stretch : elastic stretches of the tissue along and around the limb before the probe touches it; depths
-        and skin-bone distance are then relative to first touch in that state. None: not stretched
 
     Raises
     ------
@@ -73,19 +69,15 @@ def indent(
     MeasurementError
         If a border does not lie in the model's tissue.
     """
-    expected = skin_bone_distance(model)
+    expected = skin_bone_distance(press.meshed)
     cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST
-    press = Press(
-        meshed=model, tissue=tissue, spacing=spacing, tolerance=tolerance, progress=progress, change=change,
-        stretch=stretch,
-    )  # fmt: skip
     model, simulation = press.until(_ENOUGH * protocol.max_force, cap)
     seen = model if change_for_waves is None else press.bare(change_for_waves, simulation)
-    if stretch is not None:
+    if press.stretch is not None:
         return _levels_in_state(
             model, seen, simulation, protocol=protocol, window=window, density_kg_per_m3=density_kg_per_m3
         )
-    known = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
+    known = ogden_type(c=mpa_from_kpa(press.tissue.c_kpa), f_kappa=press.tissue.f_kappa, m=press.tissue.m)
     states = PointStates.of(model, simulation)
     return true_levels(
         _indentation(model, simulation, states, borders),
@@ -94,19 +86,24 @@ def indent(
         skin_bone=skin_bone_distance(model),
         window=window,
         density_kg_per_m3=density_kg_per_m3,
-        speed=None if change is None else _speed_of(seen, states, density_kg_per_m3),
+        speed=None if press.change is None else _speed_of(seen, states, density_kg_per_m3),
     )
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Press:
-    """A site's model with its tissue, whose indentation is extended in pieces."""
+    """A site's model with its tissue, whose indentation is extended in pieces.
+
+    tolerance : relative residual (norm of the residual over that of the forces)
+    change : of the loaded model, including its tissue
+    stretch : elastic stretches of the tissue along and around the limb before the probe touches it; None: not
+        stretched
+    """
 
     meshed: LimbModel
     tissue: KnownTissue
-    spacing: float
-    tolerance: float
-    progress: Progress
+    tolerance: float = 1e-6
+    progress: Progress = SILENT
     change: Change | None = None
     stretch: tuple[float, float] | None = None
 
@@ -147,7 +144,7 @@ class Press:
 
         A depth has the same time in every piece, by which the session finds its converged state.
         """
-        plan = schedule(depths_to(end, self.spacing))
+        plan = schedule(depths_to(end, _SPACING))
         c = mpa_from_kpa(self.tissue.c_kpa)
         model = indentation_model(self.meshed, plan, c=c, f_kappa=self.tissue.f_kappa, m=self.tissue.m)
         if self.stretch is not None:
