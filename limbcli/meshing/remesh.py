@@ -12,6 +12,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
 from limbcli.errors import MeshError
 from limbcli.meshing.distance import Field
@@ -28,6 +29,8 @@ _MIN_SIZE = 1.5
 _CROWDED = 0.1  # fraction of the target length: a shorter edge is an artefact
 # cosine between the normals of two adjacent faces, below which they are folded onto each other
 _FOLDED = -0.9998
+# barycentric coordinates of points on a facet, a quarter of its edges apart
+_ON_FACET = 0.25 * np.array([(i, j, 4 - i - j) for i in range(5) for j in range(5 - i)])
 
 
 @dataclass(frozen=True)
@@ -73,6 +76,11 @@ class SizeField:
         distance = distance_to_faces(self.probes, points)
         wanted = np.clip(s.under_probe + s.growth * np.maximum(distance - s.reach, 0), s.under_probe, s.far)
         return np.maximum(np.minimum(wanted, self.bend.at(points)), self.least)
+
+    def graded_by_probe(self, points: Array) -> NDArray[np.bool_]:
+        """Which points (n, 3) are so near a face that edges are shorter there than far away."""
+        s = self.sizes
+        return distance_to_faces(self.probes, points) < s.reach + (s.far - s.under_probe) / s.growth
 
 
 def size_field(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Sizes) -> SizeField:
@@ -135,7 +143,7 @@ def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Arr
 
 
 def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: float = 6.0) -> SizeField:
-    """The size field reduced around places (n, 3) where facets intersect each other."""
+    """The size field reduced around places (n, 3) where facets intersect each other or have lost bone."""
     grid = field.bend.grid
     near = grid.near(places, reach)
     values = np.where(near, factor * np.minimum(field.bend.values, field.sizes.far), field.bend.values)
@@ -154,6 +162,21 @@ def bad_places(boundary: Boundary) -> Array:
     meshes.compute_selection_by_self_intersections_per_face()
     crossing = np.asarray(meshes.current_mesh().face_selection_array(), bool)
     return surface.centroids[crossing | _folded(surface)]
+
+
+def lost_bone(boundary: Boundary, fine: Triangles, field: SizeField) -> Array:
+    """Places (n, 3) of bone near a probe that lie farther from all facets than these are long.
+
+    A bone as thin as its facets collapses, and tissue takes its place. `fine` : the boundary as triangulated
+    before
+    """
+    graded = boundary.surface.points[boundary.surface.faces[boundary.labels == BONE]]
+    places = fine.centroids[face_labels(fine, field.domain) == BONE]
+    places = places[field.graded_by_probe(places)]
+    if not len(graded) or not len(places):
+        return places
+    on_facets = np.einsum("sk,fkx->sfx", _ON_FACET, graded).reshape(-1, 3)
+    return places[cKDTree(on_facets).query(places)[0] > field.at(places)]
 
 
 def _folded(surface: Triangles) -> NDArray[np.bool_]:

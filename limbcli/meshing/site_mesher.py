@@ -21,6 +21,7 @@ from limbcli.meshing.remesh import (
     bad_places,
     face_labels,
     finer_near,
+    lost_bone,
     remesh,
     size_field,
     unfold,
@@ -70,8 +71,8 @@ def under_probe(
 def mesh_volume(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Sizes) -> VolumeMesh:
     """Graded tetrahedra in a domain, good enough for the solver; probes: those that press on it.
 
-    Tried in turn: TetGen on the boundary remeshed as requested (finer where facets intersect), TetGen on a
-    finer boundary, TetGen with smoothed bones, fTetWild.
+    Tried in turn: TetGen on the boundary remeshed as requested (finer where facets intersect or have lost
+    bone), TetGen on a finer boundary, TetGen with smoothed bones, fTetWild.
 
     Raises
     ------
@@ -119,14 +120,16 @@ def _with_tetgen(
     domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Sizes, tale: list[str]
 ) -> VolumeMesh:
     fine = domain.boundary
-    field = size_field(domain, probes, sizes)
+    field = asked = size_field(domain, probes, sizes)
     graded = unfold(remesh(fine, domain, field), domain)
     for _ in range(_LOCAL_REPAIRS):
-        bad = bad_places(graded)
+        what, bad = "facets crossed", bad_places(graded)
+        if not len(bad):
+            what, bad = "places of bone were lost", lost_bone(graded, fine, asked)
         if not len(bad):
             break
         x, y, z = bad.mean(axis=0)
-        tale.append(f"{len(bad)} facets crossed near ({x:.0f}, {y:.0f}, {z:.0f}) mm: finer there")
+        tale.append(f"{len(bad)} {what} near ({x:.0f}, {y:.0f}, {z:.0f}) mm: finer there")
         field = finer_near(field, bad)
         graded = unfold(remesh(fine, domain, field), domain)
     best: tuple[float, VolumeMesh] | None = None

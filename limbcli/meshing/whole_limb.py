@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.conforming_layers import Layer, core_of, open_ended, with_layers
+from limbcli.meshing.crop import within
 from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain, make_domain
 from limbcli.meshing.improve import NodeConstraints, put_back
 from limbcli.meshing.limb_parts import LimbFrame
@@ -65,7 +66,7 @@ class LimbMeshOptions:
 class LimbMesh:
     """The mesh, its cut planes by name, and the findings of its construction.
 
-    altered : where bone or tissue was changed so that it can be meshed
+    altered : where bone or tissue was changed so that it can be meshed, and bones that the mesh has lost
     expected : volume (mm3) of the tissue between the surfaces that were meshed
     size : usual edge length (mm)
     curved_share : fraction of the skin's and bones' mid-side nodes that lie on the curved surface
@@ -168,7 +169,8 @@ def limb_mesh(
     volume, kinds, size = _sized(filled, core, options, progress)
     mesh, curved = _assembled(volume, kinds, bones, domain, planes, options)
     progress.event("task", name="limb: mesh", done=3, total=3)
-    return LimbMesh(mesh, planes, domain.notes, volume.maker, size, domain.boundary.volume, curved)
+    altered = (*domain.notes, *_lost_bones(mesh, bones, planes, size))
+    return LimbMesh(mesh, planes, altered, volume.maker, size, domain.boundary.volume, curved)
 
 
 def _sized(
@@ -243,6 +245,19 @@ def _of_bones(points: Array, faces: IntArray, bones: Mapping[str, Triangles]) ->
     middles = points[faces].mean(axis=1)
     nearest = np.argmin(np.stack([tree.query(middles)[0] for tree in trees]), axis=0)
     return {name: faces[nearest == k] for k, name in enumerate(names)}
+
+
+def _lost_bones(
+    mesh: Mesh, bones: Mapping[str, Triangles], planes: Mapping[str, Plane], size: float
+) -> list[str]:
+    """A sentence for each bone between the cuts that has no facet in the mesh."""
+    inside = tuple(planes.values())
+    return [
+        f"{name} is not in the mesh: the bone is thinner than the facets, whose edges are {size:.0f} mm, and "
+        "tissue takes its place. Ask for more nodes (--nodes)"
+        for name, each in bones.items()
+        if name not in mesh.surfaces and within(each.points, inside).any()
+    ]
 
 
 # ---------------------------------------------------------------- curved cells

@@ -12,7 +12,16 @@ from limbcli.meshing.frame import site_frame
 from limbcli.meshing.improve import FIXED, FREE, NodeConstraints
 from limbcli.meshing.mending import mend
 from limbcli.meshing.probe import PlacedProbe, ProbeShape, distance_to_faces
-from limbcli.meshing.remesh import Boundary, Sizes, bad_places, remesh, size_field
+from limbcli.meshing.remesh import (
+    Boundary,
+    Sizes,
+    bad_places,
+    face_labels,
+    lost_bone,
+    remesh,
+    size_field,
+)
+from limbcli.meshing.site_mesher import mesh_volume
 from limbcli.meshing.surfaces import Triangles
 from limbcli.numbers.mesh_bounds import SIZE_MM
 
@@ -131,6 +140,27 @@ def test_faces_folded_flat_on_a_neighbour_are_bad():
     for height, n_bad in ((0.0, 4), (0.2, 0)):
         points = np.array([[0.0, 0, 0], [3, 0, 0], [0, 3, 0], [1, 1, height]])
         assert len(bad_places(Boundary(Triangles(points, faces), np.full(4, SKIN)))) == n_bad
+
+
+def test_a_thin_bone_that_ends_near_the_face_is_kept(make_tube):
+    """A bone as wide as its facets collapses from its end; there the edges are made shorter."""
+    skin = make_tube((0, 0, -60), (0, 0, 60), (42, 40))
+    tibia, fibula = (
+        make_tube((-8, 8, -70), (-8, 8, 70), (11, 10)),
+        make_tube((10, 22, -70), (10, 22, 5), (4, 4)),
+    )
+    limb = mend(skin, [tibia, fibula])
+    frame = site_frame(limb, np.array([0.0, 42.0, 0.0]), "transverse", PROBE)
+    local = limb.moved(frame.to_model)
+    domain = make_domain(local, crop_planes(local, PROBE, 25.0), spacing=1.5)
+    fine, sizes = domain.boundary, Sizes(5.0, 14.0, bends=8.0, thin=6.0)
+    field = size_field(domain, PROBES, sizes)
+    as_asked = remesh(fine, domain, field)
+    near = field.graded_by_probe(fine.centroids[face_labels(fine, domain) == BONE])
+    assert 100 < len(lost_bone(as_asked, fine, field)) < 0.9 * near.sum(), "the tibia is not lost"
+    made = mesh_volume(domain, PROBES, sizes)
+    kept = Boundary(Triangles(made.points, made.faces), made.labels)
+    assert len(lost_bone(kept, fine, field)) == 0
 
 
 @pytest.mark.slow

@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.meshing.limb_parts import limb_frame
-from limbcli.meshing.mending import mend
+from limbcli.meshing.mending import Plane, mend
 from limbcli.meshing.quality import dihedral_angles_deg, volumes
 from limbcli.meshing.regions import quadratic
 from limbcli.meshing.surfaces import Triangles
 from limbcli.meshing.whole_limb import (
     LimbMeshOptions,
+    _lost_bones,
     check_invariants,
     end_planes,
     least_jacobians,
@@ -162,6 +165,18 @@ def test_a_limb_in_metres_is_refused():
     with pytest.raises(MeshError, match=r"encloses 0\.00 cm3") as error:
         mend(Triangles(skin.points / 1e3, skin.faces), [])
     assert "unit" in error.value.fix
+
+
+def test_a_bone_between_the_cuts_without_facets_is_told(made):
+    found, surfaces, _ = made
+    assert not [each for each in found.altered if "is not in the mesh" in each]
+    kept = {name: each for name, each in found.mesh.surfaces.items() if name != "bone_patella"}
+    without = replace(found.mesh, surfaces=kept)
+    (told,) = _lost_bones(without, surfaces, found.planes, 36.2)
+    assert told.startswith("bone_patella is not in the mesh")
+    assert "36 mm" in told
+    below_the_patella = {"proximal_cut": Plane(np.array([0.0, 0.0, 1.0]), 110.0)}
+    assert _lost_bones(without, surfaces, below_the_patella, 36.2) == []
 
 
 def test_surfaces_of_a_mesh_are_of_its_cells(made):

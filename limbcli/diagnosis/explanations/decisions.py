@@ -18,8 +18,9 @@ Convention."""
 
 FALSE_ALARMS: Final = 0.05
 """Share of the measurements with nothing missing whose probability of "nothing" is as low by chance, from
-which the model is not adequate. What probability that is, is computed at each site (`least_by_chance`).
-Convention."""
+which the model is not adequate: what probability that is, is computed at each site (`least_by_chance`). Also
+the adjusted p below which a part of the data is reported as not described, and nothing is named that leaves
+such a part. Convention."""
 
 CHECKED: Final = 0.01
 """p of the posterior predictive check, adjusted over the whole and all parts of the data, below which even

@@ -2,8 +2,9 @@
 
 The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing missing,
 which draws from the noise show. Else the effects that every likely explanation has are named if together
-these have 95 % and none of their sizes may be none; if not, the set of explanations with 95 % is reported. If
-even the most probable one fails the posterior predictive check, the verdict is unexplained.
+these have 95 %, none of their sizes may be none, and they describe every part of the data; if not, the set of
+explanations with 95 % is reported. If even the most probable one fails the posterior predictive check, the
+verdict is unexplained.
 """
 
 from __future__ import annotations
@@ -113,6 +114,8 @@ class _Run:
             if absent := self._of_any_size(chosen):
                 why = f"{alone}, but the size of {' and of '.join(absent)} may as well be none"
                 return self._finish("ambiguous", why, ())
+            if left := () if relative else self._checked(self.search.known[chosen]).flagged:
+                return self._finish("ambiguous", f"{alone}, but does not describe {' and '.join(left)}", ())
             return self._finish("named", alone, chosen)
         n = len(credible(self.several))
         why = f"{n} explanations together have a probability of {100 * decisions.CREDIBLE:.0f} %"

@@ -57,6 +57,11 @@ class Check:
         """The smallest adjusted p."""
         return min((each.p_adjusted for each in self.parts), default=1.0)
 
+    @property
+    def flagged(self) -> tuple[str, ...]:
+        """Parts of the data that the fit does not describe."""
+        return tuple(each.name for each in self.parts[1:] if each.p_adjusted < decisions.FALSE_ALARMS)
+
 
 def checked(data: Data, state: LinearFit, whiten: Whitener, rng: np.random.Generator) -> Check:
     """Check of a fit; state : its residual and sensitivities, whitened by `whiten`."""

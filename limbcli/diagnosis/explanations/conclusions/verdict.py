@@ -6,7 +6,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot
 from limbcli.diagnosis.explanations.conclusions.estimates import Estimates
 from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep
@@ -81,8 +80,7 @@ class Diagnosis:
     @property
     def flagged(self) -> tuple[str, ...]:
         """Parts of the data that the fit without effects does not describe."""
-        parts = () if self.check is None else self.check.parts[1:]
-        return tuple(each.name for each in parts if each.p_adjusted < decisions.FALSE_ALARMS)
+        return () if self.check is None else self.check.flagged
 
     @property
     def estimates(self) -> Estimates:
