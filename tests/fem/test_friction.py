@@ -13,6 +13,7 @@ from small_models import block, punch
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts import friction_kernels
+from limbcli.fem.contacts.contact_points import TRACTION
 from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
 from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fem.equilibrium.tangent import assemble
@@ -121,6 +122,27 @@ def test_a_factor_serves_where_all_skin_slips(rng: np.random.Generator) -> None:
     )  # fmt: skip
     assert reached <= 1e-8
     assert n < 30
+
+
+def test_traction_does_not_jump_where_a_point_begins_to_slip(rng: np.random.Generator) -> None:
+    """Facets that are not parallel to the plate, dragged under it by small steps: all points stick at first
+    and slip in the end. Held by a spring to where they touched, they jumped by 0.02 mm of penetration."""
+    system = System(rubbing(punch("tet4", (3, 2, 2)), 0.5), threads=1)
+    state = system.prescribed(system.rest(), 0.5)
+    state = system.moved(state, 0.15 * rng.standard_normal(system.n_unknowns))
+    system.remember(system.search(state).state)
+    found = []
+    for shift in np.linspace(0.0, 0.4, 801):
+        dragged_by = np.where(system.coupled[:, None], [shift, 0.5 * shift, 0.0], 0.0)
+        found.append(system.search(replace(state, u=state.u + dragged_by)).points[0][0])
+    sticks = [points[points[..., TRACTION] > 0, friction_kernels.STICKS].mean() for points in found]
+    assert sticks[0] == 1.0
+    assert sticks[-1] == 0.0
+    tractions = np.stack([points[..., friction_kernels.PUSH : friction_kernels.PUSH + 3] for points in found])
+    change = np.linalg.norm(np.diff(tractions, axis=0), axis=-1)
+    eps = system.pairs[0].patches[0].eps[:, None]
+    # a step of 0.5 um along each axis; the normals are at most 45 degrees from the plate's
+    assert (change / eps).max() < 3.0 * 0.4 / 800
 
 
 @pytest.mark.parametrize(("x", "mu", "slips"), [(0.02, 0.9, False), (3.0, 0.3, True)])

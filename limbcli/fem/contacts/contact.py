@@ -31,7 +31,9 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         body = _body_of(facets2, groups, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
         points = np.ascontiguousarray(model.mesh.points, dtype=float)
-        rim = rim_widths(points, facets2, patches)
+        # with friction no fading at the rim: a sticking point does not slide off
+        sharp = np.zeros((len(facets2), 4))
+        rim = sharp if contact.friction else rim_widths(points, facets2, patches)
         if contact.friction or body is None:  # between soft surfaces also with a coefficient of 0
             pairs.append(FrictionPair(contact, facets2, patches, rim, body, points))
         else:

@@ -204,7 +204,10 @@ def search(
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
     As in FEBio, a point keeps the secondary facet of the last search as long as its normal line hits that
-    facet. Otherwise the nearest facing facet that the line hits within the search radius is taken.
+    facet. Otherwise the nearest facing facet that the line hits within the search radius is taken. A line hits
+    a facet that it misses by less than the tolerance (natural coordinates), too, but only where it hits no
+    facet beside that one: FEBio keeps the facet there, whose plane is not the surface where this bends, and
+    the gap jumps as the point leaves it.
 
     rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges
@@ -248,10 +251,12 @@ def search(
                     if not _hit(x, facets2[j], rim[j], r, nu, tolerance, out) or abs(out[0]) >= radius:
                         continue
                     within = _is_inside(facets2[j], rim[j], out)
-                    if within == inside:
-                        better = not found or (abs(out[0]) < abs(best[0]) and nearest != hint)
-                    else:
-                        better = within
+                    if not found:
+                        better = True
+                    elif within == inside:
+                        better = abs(out[0]) < abs(best[0]) and nearest != hint
+                    else:  # the facet next to it, not one behind
+                        better = within and abs(out[0] - best[0]) < reach
                     if better:
                         found, inside, nearest = True, within, j
                         for i in range(15):
