@@ -212,8 +212,8 @@ def test_a_body_under_force_has_a_load_and_no_depth() -> None:
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_gap_does_not_jump_where_the_wall_bends(friction: float) -> None:
-    """A roof, its ridge down, and the block moved under it by small steps. Kept by the plane of the slope that
-    it had left for a hundredth of that, a point's gap jumped by 0.015 mm."""
+    """A roof, its ridge down, and the block moved under it by small steps. Kept by the plane of the slope
+    that it had left for a hundredth of that, a point's gap jumped by 0.015 mm."""
     model = punch("tet4")
     first, n = int(model.mesh.blocks[-1].cells.min()), len(model.mesh.points)
     ridge = np.array([(6.0, y, -1.55) for y in model.mesh.points[[first, first + 2], 1]])

@@ -96,12 +96,12 @@ def test_a_liner_without_any_friction_is_named_where_there_is_no_equilibrium() -
 
 @pytest.mark.parametrize("penetration_mm", [None, 0.1])
 def test_a_liner_with_friction_on_both_faces_is_donned(penetration_mm: float | None) -> None:
-    """Its upper end leaves the wall over a bend of 20 degrees; while traction jumped there and between stick and
-    slip, donning ended without an equilibrium after 101 iterations."""
+    """Its upper end leaves the wall over a bend of 20 degrees; while traction jumped there and between stick
+    and slip, donning ended without an equilibrium after 101 iterations."""
     limb, wall = sleeve.lined(sleeve.limb(tet10=False), sleeve.face(), "slides")
     options = DonningOptions(
-        friction=0.3, loads_n=(), donning_steps=6, search_radius_mm=8.0, penetration_mm=penetration_mm, skin=LINER,
-        liner_slides=True,
+        friction=0.3, loads_n=(), donning_steps=6, search_radius_mm=8.0, penetration_mm=penetration_mm,
+        skin=LINER, liner_slides=True,
     )  # fmt: skip
     iterations = []
     listener = Progress(lambda kind, facts: iterations.append(kind == "newton" and facts["iteration"] > 0))

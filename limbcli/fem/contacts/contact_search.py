@@ -204,10 +204,10 @@ def search(
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
     As in FEBio, a point keeps the secondary facet of the last search as long as its normal line hits that
-    facet. Otherwise the nearest facing facet that the line hits within the search radius is taken. A line hits
-    a facet that it misses by less than the tolerance (natural coordinates), too, but only where it hits no
-    facet beside that one: FEBio keeps the facet there, whose plane is not the surface where this bends, and
-    the gap jumps as the point leaves it.
+    facet. Otherwise the nearest facing facet that the line hits within the search radius is taken. A line
+    that misses a facet by less than the tolerance (natural coordinates) hits it, too, but only where it hits
+    no facet beside that one: FEBio keeps the facet there, whose plane is not the surface where this bends,
+    and the gap jumps as the point leaves it.
 
     rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges
