@@ -13,11 +13,12 @@ from small_models import block, punch
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts import friction_kernels
-from limbcli.fem.contacts.contact_points import TRACTION
+from limbcli.fem.contacts.contact_points import GAP, TRACTION
 from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.newton import LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.linear_solvers.krylov import gmres
+from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.model import Curve, Curved, ElementMap, LimbModel, Material, Step, Support, Value
@@ -165,6 +166,37 @@ def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu
     assert np.abs(soft - stiff).max() > 0.2 * np.abs(stiff).max()
     # both depend on the way; a stiff penalty alone forgets the shear of the step before
     np.testing.assert_allclose(augmented, stiff, atol=0.15 * np.abs(stiff).max())
+
+
+def test_an_augmentation_without_an_equilibrium_is_taken_in_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every one is refused at first: half of each leads to the same, in more augmentations."""
+    closing = {
+        "augmented": True,
+        "tolerance": 0.0,
+        "gap_tolerance": 0.02,
+        "penalty": 5.0,
+        "more": {"maxaug": "40"},
+    }
+    model = dragged(0.2, mu=0.5)
+    model = replace(model, contacts=tuple(replace(each, **closing) for each in model.contacts))
+    _, plain = last(model)
+    find, calls = Newton.equilibrate, []
+
+    def refuse(self: Newton, guess: State, load_step: LoadStep, **options: object) -> tuple[State, Forces]:
+        again = "forces" not in options and not (calls and calls[-1])
+        calls.append(again)
+        if again:
+            raise self.failure(self.forces(guess), load_step, 0, "refused")
+        return find(self, guess, load_step, **options)
+
+    monkeypatch.setattr(Newton, "equilibrate", refuse)
+    _, end = last(model)
+    assert sum(calls) > 4
+    assert abs(end.forces.contact.points[0][0][..., GAP]).max() <= 0.02
+    assert end.forces.error <= 1e-8
+    np.testing.assert_allclose(
+        end.forces.bodies, plain.forces.bodies, atol=0.03 * abs(plain.forces.bodies).max()
+    )
 
 
 @pytest.mark.parametrize("n_steps", [1, 40])
