@@ -146,8 +146,8 @@ class System(RigidLoads, ElementLoops):
 
     def remember(self, state: State) -> None:
         """Store a converged state as the reference for friction."""
-        for pair, hints in zip(self.pairs, self._hints_by_pair(state), strict=True):
-            pair.remember(self.X + state.u, hints)
+        for pair in self.pairs:
+            pair.remember(self.X + state.u)
 
     def take_multipliers(self, before: System) -> None:
         """Copy the multipliers of the augmented contacts from the system of the previous step."""

@@ -32,9 +32,9 @@ if TYPE_CHECKING:
 
 NAME = "reference"
 _SMOOTH_TOLERANCE = 1e-11  # relative residual without contact, where quadratic convergence makes it cheap
-# Relative residual accepted on stagnation with friction, as a multiple of the tolerance. The force on a
-# sticking point acts along its offset from the anchor, the pressure of a slipping point along the normal: the
-# pressure jumps between the two, so an equilibrium to the full tolerance may not exist.
+# Relative residual accepted on stagnation with friction, as a multiple of the tolerance. Rims are sharp with
+# friction: the traction of a point jumps as it slides off, so an equilibrium to the full tolerance may not
+# exist.
 _STALLED_WITH_FRICTION = 100.0
 _AT_THE_END = 1e-6  # relative difference from the end time that is round-off of the summed steps
 

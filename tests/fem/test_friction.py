@@ -13,10 +13,12 @@ from small_models import block, punch
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts import friction_kernels
+from limbcli.fem.contacts.contact_points import GAP, TRACTION
 from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.newton import LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.linear_solvers.krylov import gmres
+from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.model import Curve, Curved, ElementMap, LimbModel, Material, Step, Support, Value
@@ -123,6 +125,27 @@ def test_a_factor_serves_where_all_skin_slips(rng: np.random.Generator) -> None:
     assert n < 30
 
 
+def test_traction_does_not_jump_where_a_point_begins_to_slip(rng: np.random.Generator) -> None:
+    """Facets that are not parallel to the plate, dragged under it by small steps: all points stick at first
+    and slip in the end. Held by a spring to where they touched, they jumped by 0.02 mm of penetration."""
+    system = System(rubbing(punch("tet4", (3, 2, 2)), 0.5), threads=1)
+    state = system.prescribed(system.rest(), 0.5)
+    state = system.moved(state, 0.15 * rng.standard_normal(system.n_unknowns))
+    system.remember(system.search(state).state)
+    found = []
+    for shift in np.linspace(0.0, 0.4, 801):
+        dragged_by = np.where(system.coupled[:, None], [shift, 0.5 * shift, 0.0], 0.0)
+        found.append(system.search(replace(state, u=state.u + dragged_by)).points[0][0])
+    sticks = [points[points[..., TRACTION] > 0, friction_kernels.STICKS].mean() for points in found]
+    assert sticks[0] == 1.0
+    assert sticks[-1] == 0.0
+    tractions = np.stack([points[..., friction_kernels.PUSH : friction_kernels.PUSH + 3] for points in found])
+    change = np.linalg.norm(np.diff(tractions, axis=0), axis=-1)
+    eps = system.pairs[0].patches[0].eps[:, None]
+    # a step of 0.5 um along each axis; the normals are at most 45 degrees from the plate's
+    assert (change / eps).max() < 3.0 * 0.4 / 800
+
+
 @pytest.mark.parametrize(("x", "mu", "slips"), [(0.02, 0.9, False), (3.0, 0.3, True)])
 def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu: float, slips: bool) -> None:
     """A block that sticks in part or slips under a plate, by a penalty that alone leaves a large gap."""
@@ -143,6 +166,37 @@ def test_augmented_friction_gives_nearly_what_a_stiff_penalty_gives(x: float, mu
     assert np.abs(soft - stiff).max() > 0.2 * np.abs(stiff).max()
     # both depend on the way; a stiff penalty alone forgets the shear of the step before
     np.testing.assert_allclose(augmented, stiff, atol=0.15 * np.abs(stiff).max())
+
+
+def test_an_augmentation_without_an_equilibrium_is_taken_in_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Every one is refused at first: half of each leads to the same, in more augmentations."""
+    closing = {
+        "augmented": True,
+        "tolerance": 0.0,
+        "gap_tolerance": 0.02,
+        "penalty": 5.0,
+        "more": {"maxaug": "40"},
+    }
+    model = dragged(0.2, mu=0.5)
+    model = replace(model, contacts=tuple(replace(each, **closing) for each in model.contacts))
+    _, plain = last(model)
+    find, calls = Newton.equilibrate, []
+
+    def refuse(self: Newton, guess: State, load_step: LoadStep, **options: object) -> tuple[State, Forces]:
+        again = "forces" not in options and not (calls and calls[-1])
+        calls.append(again)
+        if again:
+            raise self.failure(self.forces(guess), load_step, 0, "refused")
+        return find(self, guess, load_step, **options)
+
+    monkeypatch.setattr(Newton, "equilibrate", refuse)
+    _, end = last(model)
+    assert sum(calls) > 4
+    assert abs(end.forces.contact.points[0][0][..., GAP]).max() <= 0.02
+    assert end.forces.error <= 1e-8
+    np.testing.assert_allclose(
+        end.forces.bodies, plain.forces.bodies, atol=0.03 * abs(plain.forces.bodies).max()
+    )
 
 
 @pytest.mark.parametrize("n_steps", [1, 40])

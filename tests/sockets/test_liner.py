@@ -13,6 +13,7 @@ from limbcli.errors import MeshError, SolveError
 from limbcli.fem.system import System
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, Mesh, Surface
+from limbcli.progress import Progress
 from limbcli.sockets.centre_line import centre_line
 from limbcli.sockets.checks import check_room, clearance
 from limbcli.sockets.donning import DonningOptions, _explained, don_and_load
@@ -91,6 +92,22 @@ def test_a_liner_without_any_friction_is_named_where_there_is_no_equilibrium() -
         assert "give the liner a friction" in _explained(stopped, n_states, slides).fix
         for held in (replace(slides, liner_friction=0.3), replace(slides, liner_slides=False)):
             assert "liner" not in _explained(stopped, n_states, held).fix
+
+
+@pytest.mark.parametrize("penetration_mm", [None, 0.1])
+def test_a_liner_with_friction_on_both_faces_is_donned(penetration_mm: float | None) -> None:
+    """Its upper end leaves the wall over a bend of 20 degrees; while traction jumped there and between stick
+    and slip, donning ended without an equilibrium after 101 iterations."""
+    limb, wall = sleeve.lined(sleeve.limb(tet10=False), sleeve.face(), "slides")
+    options = DonningOptions(
+        friction=0.3, loads_n=(), donning_steps=6, search_radius_mm=8.0, penetration_mm=penetration_mm,
+        skin=LINER, liner_slides=True,
+    )  # fmt: skip
+    iterations = []
+    listener = Progress(lambda kind, facts: iterations.append(kind == "newton" and facts["iteration"] > 0))
+    result = don_and_load(limb, wall, options, threads=1, progress=listener)
+    assert result.worst.share < 1e-6
+    assert sum(iterations) < 40
 
 
 def test_a_liner_that_hardly_slides_is_nearly_a_bonded_one() -> None:

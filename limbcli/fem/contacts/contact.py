@@ -31,7 +31,8 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         body = _body_of(facets2, groups, bodies, contact)
         patches = [_patch(model, kind, facets, groups, contact) for kind, facets in primary.facets.items()]
         points = np.ascontiguousarray(model.mesh.points, dtype=float)
-        # with friction no fading at the rim: a sticking point does not slide off
+        # with friction no fading at the rim: traction that fades along a slip is a negative stiffness, with
+        # which a limb pressed against the brim of its socket found no equilibrium
         sharp = np.zeros((len(facets2), 4))
         rim = sharp if contact.friction else rim_widths(points, facets2, patches)
         if contact.friction or body is None:  # between soft surfaces also with a coefficient of 0

@@ -25,6 +25,7 @@ from limbcli.fem.contacts.contact_points import (
 )
 from limbcli.numbers.compiled import njit
 
+_ON_EDGE = 1e-9  # natural coordinates beyond an edge that are round-off
 _NATURAL, _ALONG = 7, 9  # columns of a hit after g, m, q: natural coordinates, and their gradients
 
 
@@ -159,6 +160,16 @@ def _beyond(edge, quad, s, t):
 
 
 @njit
+def _is_inside(nodes, rim, out):
+    """Whether a hit lies on the facet itself, or in the fading zone beyond its free edges."""
+    quad = is_quad(nodes)
+    for edge in range(4 if quad else 3):
+        if rim[edge] == 0.0 and _beyond(edge, quad, out[_NATURAL], out[_NATURAL + 1]) > _ON_EDGE:
+            return False
+    return True
+
+
+@njit
 def _fade(out, quad, rim, row):
     """Fading weight of the traction at a hit; its gradient goes to row[SLIDE:] (see `contact_points`)."""
     weight = 1.0
@@ -193,7 +204,10 @@ def search(
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
     As in FEBio, a point keeps the secondary facet of the last search as long as its normal line hits that
-    facet. Otherwise the nearest facing facet that the line hits within the search radius is taken.
+    facet. Otherwise the nearest facing facet that the line hits within the search radius is taken. A line
+    that misses a facet by less than the tolerance (natural coordinates) hits it, too, but only where it hits
+    no facet beside that one: FEBio keeps the facet there, whose plane is not the surface where this bends,
+    and the gap jumps as the point leaves it.
 
     rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges
@@ -219,13 +233,12 @@ def search(
             length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
             for i in range(3):
                 nu[i] = n[i] / length
-            found = False
+            found, inside, nearest = False, False, -1
             if hint >= 0 and _hit(x, facets2[hint], rim[hint], r, nu, tolerance, out):
+                found, inside, nearest = True, _is_inside(facets2[hint], rim[hint], out), hint
                 for i in range(15):
                     best[i] = out[i]
-                found = True
-                nearest = hint
-            if not found:
+            if not inside:
                 for j in range(facets2.shape[0]):
                     d2, along = 0.0, 0.0
                     for i in range(3):
@@ -235,13 +248,19 @@ def search(
                     reach = spheres[j, 3]
                     if d2 - along * along > reach * reach or abs(along) > radius + reach:
                         continue
-                    if not _hit(x, facets2[j], rim[j], r, nu, tolerance, out):
+                    if not _hit(x, facets2[j], rim[j], r, nu, tolerance, out) or abs(out[0]) >= radius:
                         continue
-                    if abs(out[0]) < radius and (not found or abs(out[0]) < abs(best[0])):
+                    within = _is_inside(facets2[j], rim[j], out)
+                    if not found:
+                        better = True
+                    elif within == inside:
+                        better = abs(out[0]) < abs(best[0]) and nearest != hint
+                    else:  # the facet next to it, not one behind
+                        better = within and abs(out[0] - best[0]) < reach
+                    if better:
+                        found, inside, nearest = True, within, j
                         for i in range(15):
                             best[i] = out[i]
-                        found = True
-                        nearest = j
             if not found:
                 continue
             gap = best[0]

@@ -14,7 +14,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from limbcli.fem.contacts import friction_kernels
-from limbcli.fem.contacts.contact_points import FACET, GAP, MOST_NODES, TRACTION
+from limbcli.fem.contacts.contact_points import FACET, GAP, MOST_NODES, TRACTION, WEIGHT
 from limbcli.fem.contacts.friction_kernels import APART, PUSH, STICKS
 from limbcli.fem.contacts.pairs import Pair
 from limbcli.model import Array, IntArray
@@ -39,26 +39,21 @@ class FrictionPair(Pair):
     def __post_init__(self) -> None:
         shapes = [p.multiplier.shape for p in self.patches]
         self.before = [np.zeros((*shape, friction_kernels.N_BEFORE)) for shape in shapes]
-        for each in self.before:
-            each[..., friction_kernels.HELD] = -1
         self.pulls = [np.zeros((*shape, 3)) for shape in shapes]
 
     @property
     def mu(self) -> float:
         return self.contact.friction
 
-    def remember(self, x: Array, hints: Sequence[Array]) -> None:
+    def remember(self, x: Array) -> None:
         """Store a converged step as the reference for the next one."""
-        found, _ = super().search(x, hints)
-        for p, points, before in zip(self.patches, found, self.before, strict=True):
-            friction_kernels.remember(x, p.facets, p.N, p.dN, points, before)
+        for p, before in zip(self.patches, self.before, strict=True):
+            friction_kernels.remember(x, p.facets, p.N, p.dN, before)
         self.past = x
 
     def forget(self, x: Array) -> None:
         super().forget(x)
-        self.past = x
-        for each in self.before:
-            each[..., friction_kernels.HELD] = -1
+        self.remember(x)
         for pull in self.pulls:
             pull[:] = 0.0
 
@@ -72,7 +67,7 @@ class FrictionPair(Pair):
     def _augment(self, found: Sequence[Array]) -> None:
         for p, points, pull in zip(self.patches, found, self.pulls, strict=True):
             touches = points[..., TRACTION] > 0
-            p.multiplier = points[..., TRACTION].copy()
+            p.multiplier = points[..., TRACTION] / np.maximum(points[..., WEIGHT], 1e-300)
             pull[:] = np.where(touches[..., None], points[..., PUSH : PUSH + 3], 0.0)
 
     def _sum_of_squares(self, found: Sequence[Array]) -> float:
@@ -83,7 +78,7 @@ class FrictionPair(Pair):
         return total
 
     def _largest_gap(self, found: Sequence[Array]) -> float:
-        """Of sticking points their distance from the anchor."""
+        """Of sticking points with what they slipped."""
         largest = 0.0
         for points in found:
             sticks, touches = points[..., STICKS] > 0, points[..., TRACTION] > 0

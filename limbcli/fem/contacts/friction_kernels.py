@@ -1,36 +1,39 @@
 """Compiled loops of Coulomb friction.
 
-For every integration point of the primary facets, position, tangents and the point of the secondary facet
-that it met (the anchor, which moves with that facet) are stored at the last converged step. With
-d = r - anchor in the current configuration, and the normal pressure p = eps g of frictionless contact:
+For every integration point of the primary facets, position and tangents are stored at the last converged
+step. With the normal pressure p = eps g of frictionless contact:
 
-    stick   T = eps d                  where T.nu > 0 and |T - (T.nu) nu| < mu T.nu
-    slip    T = p (nu + mu s)          otherwise, and if the point has no anchor
-    s = y/max(|y|, mu p/eps),  y = (1 - nu nu)(dx1 - dx2 - g c + pull/eps)
+    T = p nu + t,  t = eps y min(1, mu p/(eps |y|)): the point sticks if eps |y| < mu p, else it slips
+    y = (1 - nu nu)(dx1 - dx2 - g c + pull/eps)
     c = (1 - nu nu) m/|n|,  m = dg1 x g2 + g1 x dg2
 
 T is the traction exerted by the skin, per current area; dx1, dx2, dg1, dg2 are the changes since the last
 converged step of the point, of the secondary side's material point now opposite to it, and of the tangents.
-FEBio uses s = y/|y|, which is discontinuous where a point that has just come into contact reverses; here a
-slip shorter than mu g is resisted by the same penalty as a sticking point. Without multipliers the shear of
-earlier steps is forgotten, in FEBio as here: a step resists only its own motion.
+Without multipliers the shear of earlier steps is forgotten, in FEBio as here: a step resists only its own
+motion.
+
+T is continuous. FEBio's is not: a sticking point is held by a spring to the point of the secondary facet that
+it met at the last step, whose part along nu differs from eps g where nu is not the facet's normal, so that
+the pressure jumps where the point begins to slip, by up to mu times the tangent of the angle between them;
+and a slip shorter than mu g is resisted in full (s = y/|y|). Where the iteration ends at such a jump there is
+no equilibrium.
 
 Along a slip the exact derivative has no stiffness, and Newton's method overshoots: points reverse, and
 alternate between stick and slip. Far from equilibrium the tangent therefore has stiffness mu p/|y| in every
 tangential direction, that of the quadratic with the same force that majorises mu p |y| (Weiszfeld 1937,
 Tohoku Math. J. 43:355).
 
-With augmented contact a sticking point has T = pull + eps d, and p contains the multiplier of the pressure;
-after each augmentation both take the values of T and p. `pull` keeps the shear of earlier steps, of
-slipping points too: theirs is that of a sticking point, limited to mu p (Simo & Laursen 1992, Comput Struct
-42:97), so that it does not fall where a point begins to slip. FEBio takes the direction of the step's slip
-alone, and lets no point change between stick and slip from the first augmentation of a load step to its end
+With augmented contact p contains the multiplier of the pressure and y that of the shear; after each
+augmentation they take the values of p and T. `pull` keeps the shear of earlier steps, of slipping points too:
+theirs is that of a sticking point, limited to mu p (Simo & Laursen 1992, Comput Struct 42:97), so that it
+does not fall where a point begins to slip. FEBio takes the direction of the step's slip alone, and lets no
+point change between stick and slip from the first augmentation of a load step to its end
 (FESlidingElasticInterface::ContactTraction); here that is decided anew at every search, since a limb in a
 tight socket did not converge otherwise.
 
-Columns of `state` after those of `contact_points`: stick flag, T, |d| of a sticking point. Columns of
-`before`, from the last converged step: position, tangents g1 and g2, natural coordinates of the anchor, its
-facet (or -1). `past` (n_points, 3): positions of all nodes then.
+Columns of `state` after those of `contact_points`: stick flag, T, distance from where a sticking point would
+be without penetration. Columns of `before`, from the last converged step: position, tangents g1 and g2.
+`past` (n_points, 3): positions of all nodes then.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic with friction): Zimmerman & Ateshian 2018,
 J Biomech Eng 140:081013.
@@ -47,7 +50,6 @@ from limbcli.fem.contacts.contact_points import (
     NATURAL,
     NORMAL,
     OTHER,
-    POINT,
     SLIDE,
     TRACTION,
     WEIGHT,
@@ -66,13 +68,13 @@ from limbcli.numbers.compiled import njit
 
 STICKS, PUSH, APART = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4
 N_STATE = N_NORMAL + 5
-PLACE, TANGENTS, ANCHOR, HELD = 0, 3, 9, 11
-N_BEFORE = 12
+PLACE, TANGENTS = 0, 3
+N_BEFORE = 9
 
 
 @njit
-def remember(x, facets, N, dN, state, before):
-    """Fill `before` from a converged step, after a frictionless contact search."""
+def remember(x, facets, N, dN, before):
+    """Fill `before` from a converged step."""
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
@@ -82,8 +84,6 @@ def remember(x, facets, N, dN, state, before):
                 row[PLACE + i] = r[i]
                 row[TANGENTS + i] = g1[i]
                 row[TANGENTS + 3 + i] = g2[i]
-            row[ANCHOR], row[ANCHOR + 1] = state[f, k, NATURAL], state[f, k, NATURAL + 1]
-            row[HELD] = state[f, k, FACET]
 
 
 @njit
@@ -113,51 +113,30 @@ def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m):
 
 @njit
 def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
-    """Determine stick or slip and the traction T of every touching point; returns how many stick.
+    """Determine stick or slip and the traction T of every touching point.
 
     pull (n_facets, n_gauss, 3) : multipliers of T
     """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    y, c, m, anchor, thrust = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    N2, dN2, xs, xt = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty(3), np.empty(3)
-    sticking = 0
+    y, c, m = np.empty(3), np.empty(3), np.empty(3)
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
-            row = state[f, k]
-            row[STICKS] = 0.0
+            row, multiplier = state[f, k], pull[f, k]
             if row[TRACTION] == 0.0:
                 continue
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-            if before[f, k, HELD] >= 0.0:
-                normal, shear, apart = 0.0, 0.0, 0.0
-                nodes2 = facets2[int(before[f, k, HELD])]
-                n2 = facet_shape(nodes2, before[f, k, ANCHOR], before[f, k, ANCHOR + 1], N2, dN2)
-                facet_point(x, nodes2, N2[:n2], dN2, anchor, xs, xt)
-                for i in range(3):
-                    thrust[i] = pull[f, k, i] + eps[f] * (r[i] - anchor[i])
-                    normal += thrust[i] * n[i] / size
-                    apart += (r[i] - anchor[i]) ** 2
-                for i in range(3):
-                    shear += (thrust[i] - normal * n[i] / size) ** 2
-                if normal > 0.0 and np.sqrt(shear) < mu * normal:
-                    row[STICKS] = 1.0
-                    row[TRACTION] = normal
-                    row[APART] = np.sqrt(apart)
-                    row[FACET] = before[f, k, HELD]
-                    row[NATURAL], row[NATURAL + 1] = before[f, k, ANCHOR], before[f, k, ANCHOR + 1]
-                    for i in range(3):
-                        row[PUSH + i] = thrust[i]
-                        row[POINT + i] = anchor[i]
-                    sticking += 1
-                    continue
             nodes2 = facets2[int(row[FACET])]
-            _slip(row, before[f, k], x, past, nodes2, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
+            size = _slip(row, before[f, k], x, past, nodes2, multiplier, eps[f], r, g1, g2, n, y, c, m)
             length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
-            drag = min(mu * row[TRACTION] / length, eps[f]) if length > 0.0 else 0.0
+            most = mu * row[TRACTION]
+            row[STICKS] = 1.0 if eps[f] * length < most else 0.0
+            drag = eps[f] if row[STICKS] > 0.0 else most / length if length > 0.0 else 0.0
+            normal = (multiplier[0] * n[0] + multiplier[1] * n[1] + multiplier[2] * n[2]) / size
+            apart = row[GAP] ** 2
             for i in range(3):
                 row[PUSH + i] = row[TRACTION] * n[i] / size + drag * y[i]
-    return sticking
+                apart += (y[i] - (multiplier[i] - normal * n[i] / size) / eps[f]) ** 2
+            row[APART] = np.sqrt(apart)
 
 
 @njit
@@ -182,7 +161,7 @@ def _change(
     """Change df of |n| T, for changes of the point and the motion `slip` of the secondary side's material
     point; returns the changes of the contact point's natural coordinates.
 
-    y, c, m : from `_slip`, used if the point slips
+    y, c, m : from `_slip`
     yields : 1 for the exact derivative; 0 for stiffness mu p/|y| along a slip as well as across it
     couples : 1 for the exact derivative; 0 for shear of a slip that does not follow the pressure
     """
@@ -191,10 +170,6 @@ def _change(
     dsize = 0.0
     for i in range(3):
         dsize += n[i] * dn[i] / size
-    if row[STICKS] > 0.0:
-        for i in range(3):
-            df[i] = size * eps * (dr[i] - slip[i]) + dsize * row[PUSH + i]
-        return 0.0, 0.0
     nu, move, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     top, bottom = 0.0, 0.0
     for i in range(3):
@@ -215,37 +190,35 @@ def _change(
     p, dp = row[TRACTION], row[WEIGHT] * eps * dg
     for i in range(3):
         dp += p / row[WEIGHT] * row[SLIDE + i] * move[i]
-    if length > 0.0:
-        u = np.empty(3)
-        cross(before[TANGENTS : TANGENTS + 3], d2, u)
-        cross(d1, before[TANGENTS + 3 : TANGENTS + 6], w)
-        along, turn, mnu = 0.0, 0.0, 0.0
-        for i in range(3):
-            dm[i] = 2.0 * dn[i] - u[i] - w[i]
-            along += nu[i] * dm[i]
-            mnu += nu[i] * m[i]
-            turn += dnu[i] * m[i]
-        for i in range(3):
-            dc[i] = (dm[i] - along * nu[i] - turn * nu[i] - mnu * dnu[i] - dsize * c[i]) / size
-        # y = (1 - nu nu) z; the change of the projection needs z's normal component, recomputed here
-        znu, zdnu, dz_nu = 0.0, 0.0, 0.0
-        for i in range(3):
-            dy[i] = dr[i] - slip[i] - move[i] + olds[i] * ds + oldt[i] * dt - dg * c[i] - row[GAP] * dc[i]
-            z = r[i] - before[PLACE + i] - q[i] + old[i] - row[GAP] * c[i] + pull[i] / eps
-            znu += z * nu[i]
-            zdnu += z * dnu[i]
-            dz_nu += dy[i] * nu[i]
-        along = 0.0  # change of |y|
-        for i in range(3):
-            dy[i] -= dz_nu * nu[i] + zdnu * nu[i] + znu * dnu[i]
-            along += dy[i] * y[i] / length
-    else:
-        dy[:] = 0.0
-    full = mu * p < eps * length
+    u = np.empty(3)
+    cross(before[TANGENTS : TANGENTS + 3], d2, u)
+    cross(d1, before[TANGENTS + 3 : TANGENTS + 6], w)
+    along, turn, mnu = 0.0, 0.0, 0.0
     for i in range(3):
-        shear = eps * dy[i]
-        if full:
-            shear = mu * (couples * dp * y[i] + p * (dy[i] - yields * along * y[i] / length)) / length
+        dm[i] = 2.0 * dn[i] - u[i] - w[i]
+        along += nu[i] * dm[i]
+        mnu += nu[i] * m[i]
+        turn += dnu[i] * m[i]
+    for i in range(3):
+        dc[i] = (dm[i] - along * nu[i] - turn * nu[i] - mnu * dnu[i] - dsize * c[i]) / size
+    # y = (1 - nu nu) z; the change of the projection needs z's normal component, recomputed here
+    znu, zdnu, dz_nu = 0.0, 0.0, 0.0
+    for i in range(3):
+        dy[i] = dr[i] - slip[i] - move[i] + olds[i] * ds + oldt[i] * dt - dg * c[i] - row[GAP] * dc[i]
+        z = r[i] - before[PLACE + i] - q[i] + old[i] - row[GAP] * c[i] + pull[i] / eps
+        znu += z * nu[i]
+        zdnu += z * dnu[i]
+        dz_nu += dy[i] * nu[i]
+    along = 0.0  # y times its change
+    for i in range(3):
+        dy[i] -= dz_nu * nu[i] + zdnu * nu[i] + znu * dnu[i]
+        along += dy[i] * y[i]
+    for i in range(3):
+        shear = 0.0
+        if row[STICKS] > 0.0:
+            shear = eps * dy[i]
+        elif length > 0.0:
+            shear = mu * (couples * dp * y[i] + p * (dy[i] - yields * along * y[i] / length**2)) / length
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
     return ds, dt
 

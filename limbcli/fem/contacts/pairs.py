@@ -120,7 +120,7 @@ class Pair:
         """Further arguments of the kernels for patch k."""
         return ()
 
-    def remember(self, x: Array, hints: Sequence[Array]) -> None:
+    def remember(self, x: Array) -> None:
         """Store a converged step; nothing to store without friction."""
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:

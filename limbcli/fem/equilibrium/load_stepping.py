@@ -16,7 +16,7 @@ from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import Forces, RoughState, State, norm
-from limbcli.model import LimbModel, Step
+from limbcli.model import Array, LimbModel, Step
 
 _MAX_CUTS = 8  # limit of successive cuts of an increment, unless the step allows more
 BRIEF_CUTS, _BRIEF_ITERATIONS = 2, 40  # limits of cuts and of Newton iterations for a brief load step
@@ -34,6 +34,7 @@ _MOST_RELAXATIONS = 3  # number of failed relaxations per load step after which 
 _FAR_OUT = 3.0  # relative residual of an initial guess above which an increment is shortened without a try
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _FAR_OFF_ROUGH = 10.0  # the same for a guess from another mesh
+_SHARES = (1.0, 0.5, 0.25, 0.125)  # of an augmentation, tried in turn until there is an equilibrium
 _STEADY = 5  # number of increments after a cut during which they do not grow
 _EASY = 4  # Newton iterations up to which an increment counts as easy, so that the next may be longer
 
@@ -318,16 +319,43 @@ class LoadStepping:
         before = [pair.multipliers() for _, pair in pairs]
         n_before = 0
         try:
-            settled = _augment(pairs, forces, n_before)
+            earlier, settled = before, _augment(pairs, forces, n_before)
             while not all(settled):
-                state, forces = self._newton.equilibrate(state, way.load_step)
+                state, forces = self._after_augmentation(state, way.load_step, pairs, earlier)
                 n_before += 1
+                earlier = [pair.multipliers() for _, pair in pairs]
                 settled = _augment(pairs, forces, n_before)
         except SolveError:
             for (_, pair), multipliers in zip(pairs, before, strict=True):
                 pair.set_multipliers(multipliers)
             raise
         return state, forces
+
+    def _after_augmentation(
+        self, state: State, load_step: LoadStep, pairs: Sequence[tuple[int, Pair]],
+        earlier: Sequence[list[tuple[Array, ...]]],
+    ) -> tuple[State, Forces]:  # fmt: skip
+        """Equilibrium with the multipliers as they are now, or as near to them as there is one within reach.
+
+        state, earlier : the last equilibrium, and its multipliers. A shorter load increment would end in the
+        same state and the same augmentation; any multipliers fulfil the law of contact, and the next
+        augmentation goes on from these
+        """
+        full = [pair.multipliers() for _, pair in pairs]
+        for share in _SHARES:
+            for (_, pair), start, end in zip(pairs, earlier, full, strict=True):
+                pair.set_multipliers(
+                    [
+                        tuple(a + share * (b - a) for a, b in zip(*patch, strict=True))
+                        for patch in zip(start, end, strict=True)
+                    ]
+                )
+            try:
+                return self._newton.equilibrate(state, load_step, patient=share == _SHARES[-1])
+            except NotConverged as error:
+                self._note_cut(error)
+                last = error
+        raise last
 
 
 def _augment(pairs: Sequence[tuple[int, Pair]], forces: Forces, n_before: int) -> list[bool]:
