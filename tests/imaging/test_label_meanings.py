@@ -12,8 +12,8 @@ from limb_images import Limb
 from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
-from limbcli.case.files import CaseFiles
 from limbcli.case.label_sources import LabelSource, read_label_sources
+from limbcli.case.reading import CaseReading
 from limbcli.errors import CaseError
 from limbcli.files.atomic import sha256
 from limbcli.imaging.label_files import label_lines, read_label_file, read_label_map
@@ -257,9 +257,9 @@ TABLES = {
 def test_numbers_are_named_by_a_file_of_the_case(truth, tmp_path, table):
     nifti(tmp_path / "a.nii", renumbered(truth, NUMBERS), names={7101: "Bone", 8151: "Flesh"})
     (tmp_path / table).write_text(TABLES[table])
-    files = CaseFiles(tmp_path)
-    sources, problems = read_label_sources({"file": "a.nii", "names": table, "9": "ignore"}, files)
-    assert not problems
+    reading = CaseReading(tmp_path)
+    sources = read_label_sources({"file": "a.nii", "names": table, "9": "ignore"}, reading)
+    assert not reading.problems
     found = read_label_map(sources)
     same(found.volume, truth.with_values(np.where(truth.values == 3, 0, truth.values)))
     assert found.bone_names == ("tibia",)
@@ -278,9 +278,10 @@ def test_a_file_that_names_nothing_is_a_problem_of_the_case(tmp_path, name, cont
     (tmp_path / "a.nii").touch()
     if content is not None:
         (tmp_path / name).write_bytes(content)
-    _, problems = read_label_sources({"file": "a.nii", "names": name}, CaseFiles(tmp_path))
-    assert len(problems) == 1
-    assert re.search(what, problems[0].what)
+    reading = CaseReading(tmp_path)
+    read_label_sources({"file": "a.nii", "names": name}, reading)
+    (problem,) = reading.problems
+    assert re.search(what, problem.what)
 
 
 def test_a_preset_that_contradicts_the_names_is_refused_unless_the_table_decides(truth, tmp_path):
