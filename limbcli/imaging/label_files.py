@@ -36,7 +36,7 @@ from limbcli.imaging.metaimage import read_metaimage
 from limbcli.imaging.nrrd import Nrrd, read_nrrd
 from limbcli.imaging.own_numbers import own_number_doubts
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
-from limbcli.imaging.volume import Volume
+from limbcli.imaging.volume import Volume, require_placed
 
 _ORDER = (SOFT_TISSUE, FAT, BONE, MARKER)  # drawing order: a later kind overwrites an earlier one
 _DICOM, _NRRD, _META = (".dcm", ".ima"), (".nrrd", ".nhdr"), (".mha", ".mhd")
@@ -167,7 +167,7 @@ def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
     ]
     if unknown:
         raise _not_understood(unknown, segments, source)
-    if is_ours and (doubts := own_number_doubts(_in_numbers(segments))):
+    if is_ours and segments and (doubts := own_number_doubts(_in_numbers(segments, source.path))):
         raise CaseError(
             "the label map does not say what its numbers are, and they cannot be limbcli's: "
             + "; ".join(doubts),
@@ -181,9 +181,10 @@ def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
     return [(_called(segment, preset), each) for segment, each in found]
 
 
-def _in_numbers(segments: Sequence[Segment]) -> Volume:
-    """The segments of one grid as a map of their numbers."""
+def _in_numbers(segments: Sequence[Segment], path: Path) -> Volume:
+    """The segments of one grid as a map of their numbers, whose position is checked."""
     grid = segments[0].load()
+    require_placed(grid.affine, path, noun="label map")
     values = np.zeros(grid.values.shape, np.uint8)
     for each in segments:
         values[each.mask().values] = each.number or 0

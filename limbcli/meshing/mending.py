@@ -100,7 +100,8 @@ def mend(
         raise MeshError(
             f"the skin surface encloses {outer.volume / 1e3:.2f} cm3",
             where=where,
-            fix="give the skin as a nearly closed surface in mm, or give its `unit` in [imaging]",
+            fix="give the skin as a nearly closed surface in mm; check the unit of its coordinates, or give "
+            "its `unit` in [imaging]",
             volume_mm3=outer.volume,
         )
     inner = _bones_in_reach(outer, inner, notes, where)

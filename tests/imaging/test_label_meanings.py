@@ -148,6 +148,11 @@ def test_numbers_from_1_of_another_program_are_not_taken_for_ours(truth, tmp_pat
     assert read_label_map([LabelSource(path, names=stated)]).volume.values.any()
 
 
+def test_an_empty_label_map_is_refused(truth, tmp_path):
+    with pytest.raises(CaseError, match="the label map is empty"):
+        read_label_file(nifti(tmp_path / "a.nii", renumbered(truth, {})))
+
+
 def test_ignored_numbers_are_outside(truth, tmp_path):
     path = nifti(tmp_path / "a.nii", renumbered(truth, NUMBERS))
     found = read_label_map([LabelSource(path, names={**TABLE, "9": "ignore"})])
