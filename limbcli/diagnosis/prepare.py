@@ -58,8 +58,8 @@ _N_DEPTHS = 6  # number of equal depth steps down to the depth needed
 _BEYOND, _FURTHER, _FURTHER_SHARE = 1.05, 2.5, 0.075
 _ROUND = 0.5  # mm, to which the depth needed is rounded up
 _TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be softer than the speed implies
-# mm, smallest edge lengths at curved surfaces (bone is approximated coarsely), and at thin bones and clefts.
-# A bone near the end of a face may not be met (28 % less force), until corrected to the site's own mesh.
+# mm, smallest edge lengths at curved surfaces (bone is approximated coarsely), and at thin bones and clefts;
+# shorter where such facets lose a bone near the face
 _BENDS, _THIN = 8.0, 6.0
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # elements between skin and bone; mm, limits of their edge length
 
