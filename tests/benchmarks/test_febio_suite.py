@@ -9,6 +9,7 @@ import pytest
 from lxml import etree
 
 from limbcli.feb.read import read_feb
+from limbcli.fem.analysis import RunEnd
 from limbcli.solvers.reference import prepare
 from tests.benchmarks.febio_suite import Row, gold_values, kind_of, out_of_scope, solution_norm
 
@@ -48,7 +49,7 @@ def test_the_suites_values_are_the_last_of_each_row(tmp_path: Path) -> None:
 
 def test_the_norm_is_that_of_the_free_displacements() -> None:
     analysis = prepare(read_feb(PUNCH), threads=1)
-    last = analysis.run(last=1)[-1]
+    last = analysis.run(end=RunEnd(last=1))[-1]
     assert solution_norm(analysis, last) == pytest.approx(np.linalg.norm(last.state.u[analysis.system.free]))
     analysis.close()
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.inference.agreement import force_agreement
-from limbcli.inference.identifiability import verdict
+from limbcli.inference.identifiability import NoProfile, verdict
 from limbcli.inference.parameter import FitParameter
 from limbcli.measurement.cycle_changes import CycleChange, _compliance
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
@@ -19,7 +19,7 @@ def test_a_poor_fit_by_a_slip_of_units_is_written_out():
 
 def test_errors_beyond_all_of_the_value_are_written_out():
     m = FitParameter("m", start=2.0, low=1.0, high=50.0)
-    assert "standard error 150 %" in verdict(m, 20.0, None, influence=True, log_deviation=1.5).words
+    assert "standard error 150 %" in verdict(m, 20.0, NoProfile(log_deviation=1.5), influence=True).words
     uncertainty = {"words": "a limb", "standard_error_fraction": {"m": 1.2}, "interval_95": {}}
     parts, _ = geometry_tables("p1", {"geometry_uncertainty": uncertainty})
     assert [row[-1].text for row in parts.rows] == ["–", "120 %"]

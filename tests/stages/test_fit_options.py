@@ -7,6 +7,7 @@ import pytest
 
 from limbcli.fitting.options import COMPARISON, FitOptions, check_choice
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.two_step_fit import CurveMatch
 from limbcli.progress import SILENT
 from limbcli.provenance.remaking_command import CommandStep
 from limbcli.results import StageResult
@@ -60,7 +61,7 @@ def test_a_second_search_for_intervals_announces_its_own_simulations(monkeypatch
     step = SimpleNamespace(theta=None)
     for curve.n_solves in (8, 22):
         stage._IntervalSearch(
-            curve=SolvedPoints(curve), knots=None, data=None, known=[None, None], steps=[step, step],
+            match=CurveMatch(SolvedPoints(curve), None, None), known=[None, None], steps=[step, step],
             max_solves=12, progress=SILENT,
         ).intervals()  # fmt: skip
     assert told == [22, 22, 36, 36]

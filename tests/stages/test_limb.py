@@ -26,7 +26,7 @@ from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.limb_field.case_field import CaseField
 from limbcli.stages.limb_field.site_results import LimbReadings
 from limbcli.stages.segment import SegmentOptions, segment
-from limbcli.stiffness_field import Interval, SiteReading, limb_coordinates, stiffness_field
+from limbcli.stiffness_field import Interval, SiteReading, stiffness_field
 from limbcli.surface_formats.aop import read_aop_limb
 from tests.meshing.stump import quickly_meshed, stump
 
@@ -159,13 +159,13 @@ def test_files_for_others(made):
 def with_field(monkeypatch, c_of: dict[str, float]) -> None:
     """Let sites of these c (MPa), one at the front and one at the back, tell the stiffness."""
 
-    def field_of(case, chain, skin, bones, axis, writer, **_):
+    def field_of(case, chain, limb, writer, **_):
         places = {"p1": [0.0, -35.0, 60.0], "p2": [0.0, 35.0, 60.0]}
         sites = [
             SiteReading(name, np.array([places[name]]), {"c": Interval(c, 0.9 * c, 1.1 * c)}, source="fit")
             for name, c in c_of.items()
         ]
-        field = stiffness_field(limb_coordinates(skin, bones, axis), sites, [])
+        field = stiffness_field(limb, sites, [])
         return CaseField(field, LimbReadings(sites))
 
     monkeypatch.setattr(stage, "case_field", field_of)
