@@ -141,7 +141,7 @@ def test_states_on_one_slope_leave_the_lowest_point_open(levels, tmp_path):
     read = state_case.noisy(few, 3)
     reported = {name: state_case.TOLD[name] for name in few}
     case = state_case.make_case(tmp_path / "case", tmp_path / "out", read, reported)
-    text = case.file.read_text().replace("swe_level_fraction = 0.03", "swe_level_fraction = 0.6")
+    text = case.file.read_text().replace("swe_level_fraction = 0.03", "swe_level_fraction = 0.5")
     case.file.write_text(text.replace("depth_mm = 0.05", "depth_mm = 2.0"))
     found = fit_states(
         Case.open(case.folder), out=tmp_path / "out", states=StatesOptions(gain_deviation=0.3, max_rounds=0)
