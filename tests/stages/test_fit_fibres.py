@@ -179,7 +179,7 @@ def both(case_and_out) -> StageResult:
 def test_two_orientations_give_back_one_tissue(both):
     data = both.data
     assert data["c_kpa"] == pytest.approx(6.0, rel=0.02)
-    few_solves = (0.15, 0.05, 0.3)  # of m and the tension the data exclude only large values
+    few_solves = (0.25, 0.05, 0.3)  # of m and the tension the data exclude only large values
     for name, value, rel in zip(("m", "fibre_shear", "fibre_tension"), SHAPE, few_solves, strict=True):
         assert data[name] == pytest.approx(value, rel=rel)
         low, high = data["interval_95"][name]

@@ -114,7 +114,8 @@ class _Run:
             if absent := self._of_any_size(chosen):
                 why = f"{alone}, but the size of {' and of '.join(absent)} may as well be none"
                 return self._finish("ambiguous", why, ())
-            if left := () if relative else self._checked(self.search.known[chosen]).flagged:
+            left = () if relative else self._checked(self.search.known[chosen]).flagged
+            if left:
                 return self._finish("ambiguous", f"{alone}, but does not describe {' and '.join(left)}", ())
             return self._finish("named", alone, chosen)
         n = len(credible(self.several))
