@@ -20,7 +20,7 @@ from limbcli.files.temporary_folders import scratch_folder
 from limbcli.fitting.kept_solves import NOTHING_KEPT, KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.model_checks import ChangedBoundary
-from limbcli.fitting.solve_again import SolvedAgain
+from limbcli.fitting.solve_again import CheckSolver
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
 from limbcli.model import Array, ElementMap, IntArray, LimbModel
@@ -209,7 +209,7 @@ class LawCurve:
         return self._again(boundary.of(self.fitted(theta)), "boundary check")
 
     def _again(self, model: LimbModel, check: str) -> Array:
-        return SolvedAgain(like=self._session, progress=self._progress).forces(model, check)
+        return CheckSolver(like=self._session, progress=self._progress).forces(model, check)
 
     def fitted(self, theta: Array) -> LimbModel:
         """The model with these parameters as it is solved."""

@@ -37,7 +37,7 @@ def checked_levels(model: LimbModel) -> IntArray:
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class SolvedAgain:
+class CheckSolver:
     """How a fitted model that was changed for a check is solved again.
 
     like : a session that has solved the model before the change; its levels are the initial guesses of this

@@ -39,7 +39,7 @@ from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
 from limbcli.fitting.result import Identified, write_agreement, write_result, write_widening
-from limbcli.fitting.solve_again import SolvedAgain, checked_levels
+from limbcli.fitting.solve_again import CheckSolver, checked_levels
 from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.fitting.table import NAMES
 from limbcli.inference.adaptive import Intervals
@@ -138,7 +138,7 @@ def _fit_site(
         forces = curve(theta).values
         uncertainty = site_geometry_uncertainty(case, site, out, fitted, forces, writer, progress=progress)
         checked = checked_levels(fitted)
-        again = SolvedAgain(levels=levels_there, rows=checked, kept=kept, progress=progress)
+        again = CheckSolver(levels=levels_there, rows=checked, kept=kept, progress=progress)
         changed: list[ChangedForces] = []
         if options.boundary_check:
             changed = changed_forces(
@@ -188,7 +188,7 @@ def _fit_site(
 
 
 def _write_checks(
-    found: Identified, fitted: LimbModel, again: SolvedAgain, changed: Sequence[ChangedForces],
+    found: Identified, fitted: LimbModel, again: CheckSolver, changed: Sequence[ChangedForces],
     writer: StageWriter, options: FitOptions,
 ) -> None:  # fmt: skip
     """Write what a stiffer contact and other boundaries (`changed`) change, as far as the options ask."""

@@ -8,7 +8,7 @@ import pytest
 from limbcli.feb.settings import schedule
 from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.kept_solves import KeptForces, KeptSolves
-from limbcli.fitting.solve_again import SolvedAgain
+from limbcli.fitting.solve_again import CheckSolver
 from limbcli.inference.prediction import Prediction
 from limbcli.site_model.indentation_model import indentation_model, with_penalty, with_tissue
 from limbcli.solvers.session import ReferenceSession
@@ -62,7 +62,7 @@ def test_a_curve_and_a_check_are_not_solved_twice(tmp_path, monkeypatch):
         levels = curve.levels_at(theta)
     fitted = with_tissue(model, c=0.005, f_kappa=50.0, m=3.0)
     stiffer = with_penalty(fitted, 80.0)
-    harder = SolvedAgain(levels=levels, kept=kept).forces(stiffer, "contact check")
+    harder = CheckSolver(levels=levels, kept=kept).forces(stiffer, "contact check")
 
     def refuse(*_args, **_options):
         raise AssertionError("solved again")
@@ -77,4 +77,4 @@ def test_a_curve_and_a_check_are_not_solved_twice(tmp_path, monkeypatch):
         assert list(curve.levels_at(theta).states) == list(levels.states)
         with pytest.raises(AssertionError, match="solved again"):
             curve(np.array([60.0, 3.0]), (0, 1))
-    assert SolvedAgain(kept=kept).forces(stiffer, "contact check").tolist() == harder.tolist()
+    assert CheckSolver(kept=kept).forces(stiffer, "contact check").tolist() == harder.tolist()

@@ -20,7 +20,7 @@ from limbcli.fitting.model_checks import (
     moved_parameters,
     write_boundary_check,
 )
-from limbcli.fitting.solve_again import SolvedAgain, checked_levels
+from limbcli.fitting.solve_again import CheckSolver, checked_levels
 from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth
 from limbcli.model import LimbModel
@@ -62,7 +62,7 @@ def test_a_freed_cut_lowers_the_force_and_a_boundary_that_is_not_there_is_left_o
     model, written = cut_block(), writer()
     forces = solved(model)
     changed = changed_forces(
-        model, forces, lambda each: SolvedAgain().forces(each.of(model), "boundary check")
+        model, forces, lambda each: CheckSolver().forces(each.of(model), "boundary check")
     )
     write_boundary_check(changed, DEPTHS, written)
     found = written.data["boundary_check"]
@@ -83,7 +83,7 @@ def test_levels_solved_before_lead_to_the_same_forces():
     sides = replace(model, supports=CUT_FREE.of(model).supports, mesh=CUT_FREE.of(model).mesh)
     with ReferenceSession(sides, threads=1) as session:
         session.solve()
-        led = SolvedAgain(like=session).forces(model, "boundary check")
+        led = CheckSolver(like=session).forces(model, "boundary check")
         levels = session.kept_levels
     assert led == pytest.approx(solved(model), rel=1e-3)
     seen: list[int] = []
@@ -92,9 +92,9 @@ def test_levels_solved_before_lead_to_the_same_forces():
         if kind == "newton" and facts["iteration"]:
             seen.append(facts["step"])
 
-    from_levels = SolvedAgain(levels=levels).forces(model, "boundary check")
+    from_levels = CheckSolver(levels=levels).forces(model, "boundary check")
     assert from_levels == pytest.approx(led, rel=1e-3)
-    SolvedAgain(levels=levels, progress=Progress(listen)).forces(sides, "boundary check")
+    CheckSolver(levels=levels, progress=Progress(listen)).forces(sides, "boundary check")
     assert not seen, "the levels are used: without a change they are in equilibrium"
 
 
@@ -107,7 +107,7 @@ def test_of_many_levels_some_are_solved():
         if kind == "newton":
             seen.add(facts["n_steps"])
 
-    found = SolvedAgain(rows=rows, progress=Progress(listen)).forces(free, "boundary check")
+    found = CheckSolver(rows=rows, progress=Progress(listen)).forces(free, "boundary check")
     assert seen == {3}
     assert found == pytest.approx(solved(free)[rows], rel=1e-3)
 
