@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
@@ -18,6 +18,7 @@ from limbcli.model import Array
 from limbcli.numbers.compiled import njit
 
 _LENGTHS = (0.5, 0.9, 1.6, 2.8, 5.0)  # candidate length scales in ln theta
+_LARGEST_LOG = 50.0  # upper limit of ln of a ratio to the largest solved value, against overflow
 _NUGGET = 1e-9  # added to the covariance's diagonal, relative to it
 _SAME = 1e-3  # two points closer than this in ln theta coincide
 
@@ -31,78 +32,107 @@ class Node:
     slope: Array | None
 
 
+@dataclass(frozen=True, eq=False)
+class Coordinates:
+    """x = ln theta -> coordinates in which the surrogate is stationary, each with shift 0 or 1.
+
+    They are (1 + shift) ln(theta / largest + shift): ln theta without a shift, and with one about linear in
+    theta where theta is not small. Forces grow as stretch^m, so that their logarithm is about linear in m.
+
+    largest (p,) : ln of each parameter's largest solved value; shift (p,)
+    """
+
+    largest: Array
+    shift: Array
+
+    def __call__(self, x: Array) -> tuple[Array, Array]:
+        """Coordinates (..., p) and their derivatives by x (..., p)."""
+        share = np.exp(np.minimum(x - self.largest, _LARGEST_LOG))
+        scale = 1.0 + self.shift
+        return scale * np.log(share + self.shift), scale * share / (share + self.shift)
+
+
 class Surrogate:
     """ln theta (p,) -> ln value (q,), with derivative and standard deviation.
 
     Squared-exponential kernel in ln theta over a linear trend (universal kriging with derivatives); the
-    length scales maximise the likelihood over a small grid.
+    length scales maximise the likelihood over a small grid, and so does the choice of each parameter's
+    coordinate (`Coordinates`).
 
     Source: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.7, 9.4.
     """
 
     def __init__(self, nodes: Sequence[Node]):
         self.nodes = _thinned(nodes)
-        self._x = np.array([node.x for node in self.nodes])
         self._graded = np.array([node.slope is not None for node in self.nodes])
-        self._targets = self._stack()
-        p = self._x.shape[1]
-        best: _Fitted | None = None
-        for lengths in itertools.product(_LENGTHS, repeat=p):
-            fitted = self._fit(np.array(lengths))
-            if fitted is not None and (best is None or fitted.score > best.score):
-                best = fitted
-        assert best is not None, "the nugget keeps every covariance positive definite"
+        largest = np.max([node.x for node in self.nodes], axis=0)
+        p = len(largest)
+        grid = [np.array(each) for each in itertools.product(_LENGTHS, repeat=p)]
+        best = self._best(Coordinates(largest, np.zeros(p)), grid)
+        for k in range(p if len(self.nodes) > 1 else 0):
+            shift = best.coordinates.shift + np.eye(p)[k]
+            grid = [np.where(np.arange(p) == k, each, best.lengths) for each in _LENGTHS]
+            best = max(best, self._best(Coordinates(largest, shift), grid), key=lambda each: each.score)
         self._model = best
 
     def __call__(self, x: Array) -> tuple[Array, Array]:
         """ln value (q,) and its derivative (q, p)."""
-        model, q = self._model, self._targets.shape[1]
+        model = self._model
+        q = model.weights.shape[1]
         value, slope = np.empty(q), np.empty((q, len(x)))
-        x = np.ascontiguousarray(x, dtype=float)
-        _predict(x, self._x, model.lengths, self._graded, model.weights, model.trend, value, slope)
-        return value, slope
+        u, by_x = model.coordinates(np.asarray(x, dtype=float))
+        _predict(u, model.nodes, model.lengths, self._graded, model.weights, model.trend, value, slope)
+        return value, slope * by_x
 
     def deviation(self, x: Array) -> Array:
         """Standard deviation of ln value at x: (q,)."""
         model = self._model
-        cross = self._covariance(x[None], self._x, model.lengths)[0]
+        u, _ = model.coordinates(np.asarray(x, dtype=float))
+        cross = self._covariance(u[None], model.nodes, model.lengths)[0]
         spread = 1.0 - cross @ cho_solve(model.factor, cross)
-        leftover = np.concatenate([[1.0], x]) - model.solved_basis.T @ cross
+        leftover = np.concatenate([[1.0], u]) - model.solved_basis.T @ cross
         spread += leftover @ np.linalg.solve(model.information, leftover)
         return np.sqrt(max(float(spread), 0.0)) * model.amplitude
 
-    def _stack(self) -> Array:
+    def _best(self, coordinates: Coordinates, grid: Sequence[Array]) -> _Fitted:
+        """The most likely fit in these coordinates over a grid of length scales (p,)."""
+        nodes, by_x = coordinates(np.array([node.x for node in self.nodes]))
         rows = [node.y for node in self.nodes]
-        for node in self.nodes:
-            rows.extend(node.slope.T if node.slope is not None else ())
-        return np.array(rows)
+        for node, each in zip(self.nodes, by_x, strict=True):
+            rows.extend((node.slope / each).T if node.slope is not None else ())
+        fits = [self._fit(coordinates, nodes, np.array(rows), lengths) for lengths in grid]
+        # the likelihood of the slopes by x, not by the coordinates
+        scale = np.log(by_x[self._graded]).sum()
+        found = [replace(each, score=each.score - scale) for each in fits if each is not None]
+        assert found, "the nugget keeps every covariance positive definite"
+        return max(found, key=lambda each: each.score)
 
-    def _basis(self) -> Array:
-        n, p = self._x.shape
-        tangent = np.hstack([np.zeros((p, 1)), np.eye(p)])
-        return np.vstack(
-            [np.hstack([np.ones((n, 1)), self._x]), *[tangent for _ in range(self._graded.sum())]]
-        )
-
-    def _fit(self, lengths: Array) -> _Fitted | None:
-        covariance = self._covariance(self._x, self._x, lengths, graded_a=self._graded)
+    def _fit(
+        self, coordinates: Coordinates, nodes: Array, targets: Array, lengths: Array
+    ) -> _Fitted | None:
+        covariance = self._covariance(nodes, nodes, lengths, graded_a=self._graded)
         covariance += _NUGGET * np.diag(np.diag(covariance))
         try:
             factor = cho_factor(covariance, lower=True)
         except np.linalg.LinAlgError:
             return None
-        basis = self._basis()
+        n, p = nodes.shape
+        tangents = np.tile(np.hstack([np.zeros((p, 1)), np.eye(p)]), (int(self._graded.sum()), 1))
+        basis = np.vstack([np.hstack([np.ones((n, 1)), nodes]), tangents])
         solved_basis = cho_solve(factor, basis)
         information = basis.T @ solved_basis
         information += 1e-9 * np.trace(information) * np.eye(len(information))
-        trend = np.linalg.solve(information, solved_basis.T @ self._targets)
-        residual = self._targets - basis @ trend
+        trend = np.linalg.solve(information, solved_basis.T @ targets)
+        residual = targets - basis @ trend
         weights = cho_solve(factor, residual)
-        n = len(residual)
-        variance = np.maximum(np.sum(residual * weights, axis=0) / max(n - basis.shape[1], 1), 1e-16)
+        n_rows = len(residual)
+        variance = np.maximum(np.sum(residual * weights, axis=0) / max(n_rows - basis.shape[1], 1), 1e-16)
         log_determinant = 2 * np.log(np.diag(factor[0])).sum()
-        score = -0.5 * (n * np.log(variance).mean() + log_determinant)
-        return _Fitted(lengths, factor, weights, trend, solved_basis, information, np.sqrt(variance), score)
+        score = -0.5 * (n_rows * np.log(variance).mean() + log_determinant)
+        return _Fitted(
+            coordinates, nodes, lengths, factor, weights, trend, solved_basis, information,
+            np.sqrt(variance), score,
+        )  # fmt: skip
 
     def _covariance(self, a: Array, b: Array, lengths: Array, *, graded_a: Array | None = None) -> Array:
         """Covariance of (values of a, gradients of graded a) with those of the nodes b."""
@@ -127,6 +157,8 @@ class Surrogate:
 
 @dataclass(frozen=True, eq=False)
 class _Fitted:
+    coordinates: Coordinates
+    nodes: Array
     lengths: Array
     factor: tuple[Array, bool]
     weights: Array
