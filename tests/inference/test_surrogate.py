@@ -60,3 +60,21 @@ def test_doubt_grows_away_from_the_nodes(simulated):
     surrogate = Surrogate([node(simulated, theta) for theta in THETAS])
     near, far = np.log(np.array([90.0, 2.1])), np.log(np.array([0.05, 20.0]))
     assert surrogate.deviation(far).max() > 10 * surrogate.deviation(near).max()
+
+
+def test_a_coordinate_is_chosen_in_which_the_response_is_even():
+    """Rate: forces that grow as stretch^m are told far beyond the solved m, and those of ln theta as before."""
+    stretch = np.array([1.05, 1.1, 1.2])
+
+    def exponential(m):
+        return Node(np.log([m]), m * np.log(stretch), m * np.log(stretch)[:, None])
+
+    def power(x):
+        return Node(np.log([x]), stretch * np.log(x), stretch[:, None])
+
+    for of, most in ((exponential, 0.03), (power, 1e-4)):
+        found = Surrogate([of(each) for each in (2.0, 5.0, 8.0)])
+        y, slope = found(np.log([20.0]))
+        expected = of(20.0)
+        np.testing.assert_allclose(y, expected.y, rtol=most)
+        np.testing.assert_allclose(slope, expected.slope, rtol=4 * most)
