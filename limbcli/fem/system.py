@@ -26,7 +26,7 @@ from limbcli.fem.elements.element_loops import ElementLoops
 from limbcli.fem.elements.groups import make_groups
 from limbcli.fem.elements.thread_partition import halve
 from limbcli.fem.motion.distributed_loads import DistributedLoads, LoadedSurface
-from limbcli.fem.motion.rigid_loads import RigidLoads
+from limbcli.fem.motion.rigid_loads import RigidLoads, moment
 from limbcli.fem.motion.state import Forces, State
 from limbcli.model import Array, IntArray, LimbModel, Load, Support
 from limbcli.model.bodies import Drive
@@ -213,11 +213,16 @@ class System(RigidLoads, ElementLoops):
 
     def contact_forces(self, contact: ContactState) -> tuple[Array, Array]:
         """Contact's forces on the nodes (n_points, 3), and what holds the bodies against it (n_bodies, 6)."""
-        nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
-        for pair, found in zip(self.pairs, contact.points, strict=True):
-            pair.force(found, nodal)
+        nodal, bodies = self._contact_nodal(contact), np.zeros((len(self.bodies), 6))
         self.gather_touched(contact.state, nodal, bodies)
         return nodal, bodies
+
+    def _contact_nodal(self, contact: ContactState) -> Array:
+        """Contact's forces (n_points, 3) on the nodes of both sides."""
+        nodal = np.zeros_like(self.X)
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            pair.force(found, nodal)
+        return nodal
 
     @property
     def first_touched(self) -> int:
@@ -228,7 +233,7 @@ class System(RigidLoads, ElementLoops):
         """Move forces on the nodes of the bodies that touch to the bodies' forces and moments."""
         for b, nodes, arm in self._touched_bodies(state):
             bodies[b, :3] += nodal[nodes].sum(axis=0)
-            bodies[b, 3:] += np.cross(arm, nodal[nodes]).sum(axis=0)
+            bodies[b, 3:] += moment(arm, nodal[nodes])
             nodal[nodes] = 0.0
 
     def _touched_bodies(self, state: State) -> Iterator[tuple[int, IntArray, Array]]:
@@ -247,6 +252,8 @@ class System(RigidLoads, ElementLoops):
 
     def contact_residual(self, contact: ContactState) -> Array:
         """The contact part of the residual."""
+        if not self.rigid:  # what the bodies take is of no interest
+            return self.collect(self._contact_nodal(contact))
         nodal, bodies = self.contact_forces(contact)
         self.gather_tied(contact.state, nodal, bodies)
         return np.concatenate([nodal[self.free], [bodies[k] for k in self.rigid]])
@@ -335,21 +342,24 @@ class System(RigidLoads, ElementLoops):
 
         Returns forces on the nodes (n_points, 3) and on the bodies (n_bodies, 6).
         """
-        nodal, bodies = np.zeros_like(self.X), np.zeros((len(self.bodies), 6))
-        state, full, v = contact.state, contact.full_tangent, v.copy()
-        touched = list(self._touched_bodies(state))
-        for b, nodes, arm in touched:
+        nodal, bodies = self._contact_rates(contact, v, motions), np.zeros((len(self.bodies), 6))
+        if contact.full_tangent and motions[:, 3:].any():
+            forces = self._contact_nodal(contact)
+            for b, nodes, arm in self._touched_bodies(contact.state):
+                bodies[b, 3:] += moment(np.cross(motions[b, 3:], arm), forces[nodes])
+        self.gather_touched(contact.state, nodal, bodies)
+        return nodal, bodies
+
+    def _contact_rates(self, contact: ContactState, v: Array, motions: Array) -> Array:
+        """Contact tangent times nodal and body motions: forces (n_points, 3) on the nodes of both sides."""
+        nodal, state, v = np.zeros_like(self.X), contact.state, v.copy()
+        for nodes in self._secondary_nodes.values():
+            v[nodes] = 0.0
+        for b, nodes, arm in self._touched_bodies(state) if motions.any() else ():
             v[nodes] = motions[b, :3] + np.cross(motions[b, 3:], arm)
         for pair, found in zip(self.pairs, contact.points, strict=True):
-            pair.times(found, self.X + state.u, v, nodal, full=full)
-        if full and any(motions[b, 3:].any() for b, _, _ in touched):
-            forces = np.zeros_like(nodal)
-            for pair, found in zip(self.pairs, contact.points, strict=True):
-                pair.force(found, forces)
-            for b, nodes, arm in touched:
-                bodies[b, 3:] += np.cross(np.cross(motions[b, 3:], arm), forces[nodes]).sum(axis=0)
-        self.gather_touched(state, nodal, bodies)
-        return nodal, bodies
+            pair.times(found, self.X + state.u, v, nodal, full=contact.full_tangent)
+        return nodal
 
     def contact_change(
         self, contact: ContactState, step: Array | None = None, *, motions: Array | None = None
@@ -365,7 +375,11 @@ class System(RigidLoads, ElementLoops):
         n = self.n_tissue
         own = self.motions(step)
         v = self.follow(contact.state, own) + self.spread(step[:n])
-        nodal, bodies = self.contact_times(contact, v, own if motions is None else own + motions)
+        motions = own if motions is None else own + motions
+        if not self.rigid:  # what the bodies take is of no interest
+            out[:] = self.collect(self._contact_rates(contact, v, motions))
+            return out
+        nodal, bodies = self.contact_times(contact, v, motions)
         out[:n] = self.collect(nodal)
         for k, (b, dof) in enumerate(self.rigid):
             out[n + k] = bodies[b, dof]

@@ -10,6 +10,16 @@ from limbcli.fem.motion.state import State
 from limbcli.model import Array
 
 
+def moment(arms: Array, forces: Array) -> Array:
+    """Sum (3,) of the moments of forces (n, 3) at lever arms (n, 3).
+
+    >>> moment(np.array([[1.0, 0.0, 0.0]]), np.array([[0.0, 2.0, 0.0]])).tolist()
+    [0.0, 0.0, 2.0]
+    """
+    m = arms.T @ forces
+    return np.array([m[1, 2] - m[2, 1], m[2, 0] - m[0, 2], m[0, 1] - m[1, 0]])
+
+
 class RigidLoads(Kinematics):
     """The rigid-body part of the equations."""
 
@@ -20,7 +30,7 @@ class RigidLoads(Kinematics):
                 f = nodal[body.tied]
                 arm = self.X[body.tied] + state.u[body.tied] - self.center(b, state)
                 bodies[b, :3] += f.sum(axis=0)
-                bodies[b, 3:] += np.cross(arm, f).sum(axis=0)
+                bodies[b, 3:] += moment(arm, f)
 
     def add_springs(self, state: State, bodies: Array) -> None:
         index = {body.name: b for b, body in enumerate(self.bodies)}
