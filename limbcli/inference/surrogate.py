@@ -107,9 +107,7 @@ class Surrogate:
         assert found, "the nugget keeps every covariance positive definite"
         return max(found, key=lambda each: each.score)
 
-    def _fit(
-        self, coordinates: Coordinates, nodes: Array, targets: Array, lengths: Array
-    ) -> _Fitted | None:
+    def _fit(self, coordinates: Coordinates, nodes: Array, targets: Array, lengths: Array) -> _Fitted | None:
         covariance = self._covariance(nodes, nodes, lengths, graded_a=self._graded)
         covariance += _NUGGET * np.diag(np.diag(covariance))
         try:

@@ -63,7 +63,7 @@ def test_doubt_grows_away_from_the_nodes(simulated):
 
 
 def test_a_coordinate_is_chosen_in_which_the_response_is_even():
-    """Rate: forces that grow as stretch^m are told far beyond the solved m, and those of ln theta as before."""
+    """Rate: forces that grow as stretch^m are told far beyond the solved m, and powers of theta, too."""
     stretch = np.array([1.05, 1.1, 1.2])
 
     def exponential(m):
