@@ -14,17 +14,18 @@ from matplotlib.figure import Figure
 
 from limbcli.cohorts.figures import compliance, distributions
 from limbcli.drawing import figure_data
+from limbcli.fitting.layer_comparison import layers_figure
+from limbcli.fitting.states_picture import StateReading, StatesPanel, states_figure
+from limbcli.fitting.stiffness_map import stiffness_figure
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
+from limbcli.model import Block, ElementMap, Mesh
 from limbcli.numbers.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.figures.hysteresis_loops import Loop, cycles
-from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
-from limbcli.reporting.figures.speed_over_stretch import StateReading, StatesPanel, states_figure
-from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
 from limbcli.reporting.figures.study import StudyRow, study_figure
 from limbcli.reporting.figures.style import plain_log
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_text, wave_speed
@@ -46,16 +47,9 @@ def maps(n: int, *, measured: bool) -> list[LevelMaps]:
     return [LevelMaps(k, 2.0 * k, own, other) for k in range(n)]
 
 
-def tetrahedron() -> StiffnessSection:
+def tetrahedron() -> Mesh:
     points = np.array([[0.0, -1, 0], [9, 1, 0], [0, 1, -9], [9, -1, -9]])
-    return StiffnessSection(
-        points=points,
-        kind="tet4",
-        cells=np.arange(4)[None],
-        c_kpa=np.array([8.0]),
-        lateral=DEPTH,
-        depth=DEPTH,
-    )
+    return Mesh(points, (Block("tissue", "tet4", np.arange(4)[None]),))
 
 
 def figures() -> dict[str, Figure]:
@@ -68,7 +62,9 @@ def figures() -> dict[str, Figure]:
         "wave speed": wave_speed(SPEEDS, against_force=line, against_depth=None),
         "predicted speed": wave_speed(None, predicted=PredictedSpeeds(DEPTH, DEPTH, 2.0 + 0.1 * DEPTH)),
         "speed maps": speed_maps(maps(7, measured=True)),
-        "stiffness": stiffness_figure(tetrahedron()),
+        "stiffness": stiffness_figure(
+            tetrahedron(), ElementMap("c", "tissue", np.array([0.008])), SweMap(DEPTH, DEPTH, DEPTH)
+        ),
         "walk": fit_walk([walk]),
         "newton": newton_residuals(Residuals(np.array([9.0, 0.1, 3.0, 0.2]), np.array([1, 1, 2, 2]))),
     }
@@ -343,7 +339,7 @@ def test_force_before_contact_is_no_less_than_nothing_on_speed_maps():
 
 def test_layers_of_a_single_level_are_seen():
     one = np.array([[1.5, 6.0]])
-    left, right = layers_figure(LayerPicture(np.array([4.0]), ("skin", "fat"), one, one, 0.2)).axes
+    left, right = layers_figure(np.array([4.0]), ("skin", "fat"), one, one, 0.2).axes
     bands = [each for each in left.collections if each.get_label().endswith("predicted")]
     for band, ends in zip(bands, ((0.0, 1.5), (1.5, 7.5)), strict=True):
         corners = band.get_paths()[0].vertices

@@ -13,9 +13,8 @@ from limbcli.feb.settings import schedule
 from limbcli.fitting import layer_comparison as fitted_layers
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS
-from limbcli.fitting.layer_comparison import PredictedLayers
+from limbcli.fitting.layer_comparison import PredictedLayers, layers_figure
 from limbcli.measurement.levels import Levels
-from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
 from limbcli.reporting.sections.layer_deformation import layers
 from limbcli.results import open_stage
 from limbcli.site_model.indentation_model import indentation_model
@@ -159,11 +158,11 @@ def test_the_joint_fit_uses_layers_and_finds_the_truth(truth, tmp_path):
 
 
 def test_the_figure_shows_every_layer():
-    shown = LayerPicture(
+    shown = layers_figure(
         np.array([0.0, 4.0]), ("skin", "fat"), np.array([[1.5, 6.0], [1.4, np.nan]]),
         np.array([[1.5, 6.0], [1.4, 4.8]]), 0.2,
     )  # fmt: skip
-    left, right = layers_figure(shown).axes
+    left, right = shown.axes
     named = [each.get_text() for each in left.get_legend().get_texts()]
     assert named[:2] == ["skin, predicted", "fat, predicted"]
     assert left.yaxis_inverted()
