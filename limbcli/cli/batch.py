@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from limbcli.cli.error_output import report_error
-from limbcli.cli.say import say
+from limbcli.cli.output import report_error, say
 from limbcli.cli.terminal import emit_json
 from limbcli.errors import LimbError
 from limbcli.progress import Progress

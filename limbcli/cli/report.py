@@ -9,7 +9,7 @@ from typing import Annotated
 import typer
 
 from limbcli.api.diagnosis import report
-from limbcli.cli.say import say
+from limbcli.cli.output import say
 from limbcli.cli.terminal import emit, emit_json
 from limbcli.options import Option
 from limbcli.progress import Progress

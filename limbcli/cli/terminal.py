@@ -9,9 +9,8 @@ import time
 from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any, TextIO
 
+from limbcli.cli.output import results, say
 from limbcli.cli.remaining_time import LOG_S, SILENCE_S, TimeLeft, keep_alive
-from limbcli.cli.results_stream import results
-from limbcli.cli.say import say
 from limbcli.files.plain_text import shown
 from limbcli.progress import SILENT, Progress
 

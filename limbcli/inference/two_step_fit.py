@@ -15,8 +15,7 @@ from limbcli.inference.emulator import Emulator
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
-from limbcli.inference.residual import force_residual
-from limbcli.inference.statistics import coefficient_of_determination, root_mean_square
+from limbcli.inference.residual import coefficient_of_determination, force_residual, root_mean_square
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 

@@ -23,8 +23,7 @@ from limbcli.feb.write import write_feb
 from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
-from limbcli.fitting.geometry import site_geometry_uncertainty
-from limbcli.fitting.geometry_result import write_geometry
+from limbcli.fitting.geometry import site_geometry_uncertainty, write_geometry
 from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.fitting.layer_comparison import write_layers
 from limbcli.fitting.model_checks import (

@@ -22,9 +22,12 @@ from limbcli.case import Case, Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.fitting.exports import write_mat_file
-from limbcli.fitting.fibre_orientations import write_orientations
 from limbcli.fitting.fibre_rest_speed import rest_speed
-from limbcli.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
+from limbcli.fitting.fibre_uncertainty import (
+    stated_deviation,
+    write_direction_uncertainty,
+    write_orientations,
+)
 from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from limbcli.cli import entry
-from limbcli.cli.error_output import report_error
+from limbcli.cli.output import report_error
 from limbcli.cli.terminal import emit
 from limbcli.drawing import write_data
 from limbcli.errors import CaseError

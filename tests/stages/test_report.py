@@ -25,15 +25,19 @@ from limbcli.reporting.numbers import significant
 from limbcli.reporting.page import render
 from limbcli.reporting.sections.convergence import profiles
 from limbcli.reporting.sections.joint_fit import joint, laws
-from limbcli.reporting.sections.next_steps import next_steps
+from limbcli.reporting.sections.next_steps import (
+    SourcedWarning,
+    WarningKind,
+    changes_of,
+    next_steps,
+    warning_groups,
+)
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.unloaded_state import states
-from limbcli.reporting.sections.warning_box import SourcedWarning, WarningKind, changes_of, warning_groups
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
-from limbcli.stages.report import report
-from limbcli.stages.report_pages.failure import report_failure
+from limbcli.stages.report import report, report_failure
 from limbcli.stages.report_pages.material import gather
 from limbcli.version import __version__
 from tests.stages import test_report_state

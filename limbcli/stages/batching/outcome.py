@@ -9,7 +9,7 @@ from typing import Any
 
 from limbcli.errors import LimbError
 from limbcli.files.atomic import atomic_file
-from limbcli.results import ERROR_FILE, plain, stage_folder
+from limbcli.results import ERROR_FILE, error_json, stage_folder
 
 _KEPT = ("segment",)  # result is kept on failure, as it shows whether the label map has been edited since
 
@@ -105,14 +105,3 @@ def keep_error(
     finally:  # even if the disk is full
         if not keep_result and stage not in _KEPT:
             (folder / f"{stage}.json").unlink(missing_ok=True)
-
-
-def error_json(error: LimbError) -> dict[str, Any]:
-    return {
-        "error": type(error).__name__,
-        "exit_code": error.exit_code,
-        "what": error.what,
-        "where": error.where,
-        "fix": error.fix,
-        "facts": json.loads(json.dumps(plain(error.facts), default=str)),
-    }

@@ -11,7 +11,6 @@ from limbcli.errors import SolveError
 from limbcli.feb.log import LogReader
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
-from limbcli.measurement.strain import principal_stretches
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.progress import PROGRESS_FILE, read_events
 from limbcli.reporting.figures.convergence import Residuals
@@ -146,3 +145,23 @@ def read_residuals(result: StageResult) -> Residuals | None:
         return None
     steps, now, target = np.array(found, dtype=float).T
     return Residuals(now / target, steps.astype(np.int64))
+
+
+def principal_stretches(deformation_gradient: Array) -> Array:
+    """Principal stretches: the singular values of F, largest first.
+
+    1 is the undeformed length; 0.8 is a shortening by 20 % in that direction.
+
+    Parameters
+    ----------
+    deformation_gradient : array, shape (..., 3, 3)
+
+    Returns
+    -------
+    array, shape (..., 3), dimensionless
+
+    >>> principal_stretches(np.diag([0.5, 2.0, 1.0]))
+    array([2. , 1. , 0.5])
+    """
+    stretches = np.linalg.svd(deformation_gradient, compute_uv=False)
+    return np.asarray(stretches, dtype=np.float64)
