@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from limbcli.case import Site
 from limbcli.drawing import save_figure
+from limbcli.files.plain_text import write_rows
 from limbcli.fitting.exports import parameter_rows, write_exports
 from limbcli.fitting.laws import LOCKING
 from limbcli.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
@@ -119,11 +119,11 @@ def write_curves(found: Identified, path: Path) -> None:
     forces = [f"{each:.6g}" for each in found.data.force] + [""] * len(between)
     thetas = [found.start, *(step.theta for step in found.steps)]
     curves = [found.simulated(theta, np.maximum(depths, 0.0)) for theta in thetas]
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(["depth_mm", "measured_n", "start_n", f"{MOONEY_RIVLIN}_n", f"{OGDEN}_n"])
-        for k in np.argsort(depths, kind="stable"):
-            rows.writerow([f"{depths[k]:.6g}", forces[k], *(f"{each[k]:.6g}" for each in curves)])
+    write_rows(
+        path, ("depth_mm", "measured_n", "start_n", f"{MOONEY_RIVLIN}_n", f"{OGDEN}_n"),
+        ([f"{depths[k]:.6g}", forces[k], *(f"{each[k]:.6g}" for each in curves)]
+         for k in np.argsort(depths, kind="stable")),
+    )  # fmt: skip
 
 
 def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
