@@ -10,9 +10,6 @@ from typing import Annotated, Any, Literal
 import typer
 
 from limbcli.api.call import at_work
-from limbcli.api.diagnosis import report
-from limbcli.api.geometry import segment
-from limbcli.api.simulation import run, run_feb
 from limbcli.cli.output import say
 from limbcli.cli.terminal import emit, emit_json
 from limbcli.errors import CaseError
@@ -95,6 +92,7 @@ def segment_case(case: Annotated[Path, CASE], *, json: bool, **options: Any) -> 
     A label map edited by hand in the output folder (labels.nii.gz) takes precedence over the automatic one.
     If a site is not on the skin, the command ends with an error after everything is written.
     """
+    from limbcli.api.geometry import segment
     from limbcli.case import CASE_FILE
     from limbcli.errors import CaseError
     from limbcli.errors.problems import raise_errors
@@ -115,6 +113,8 @@ def run_case_or_file(
     **options: Any,
 ) -> StageResult | list[StageResult]:
     """Simulate the indentation with FEBio, or with the bundled reference solver."""
+    from limbcli.api.simulation import run, run_feb
+
     file = feb or (case if case is not None and is_model_file(case) else None)
     if file is not None and (case is None or file == case):
         if sites:
@@ -226,6 +226,8 @@ def report_case_or_index(
     progress: Progress,
 ) -> None:
     """Write one self-contained page of the stages' results, or an index of many subjects."""
+    from limbcli.api.diagnosis import report
+
     if (case is None) == (index is None):
         raise typer.BadParameter("give either CASE or --index DIR")
     if index is not None and (out is not None or not wait):

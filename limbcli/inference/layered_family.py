@@ -130,13 +130,7 @@ def is_inside(x: Array) -> NDArray[np.bool_]:
 
 @functools.cache
 def layered_family(path: Path = FILE) -> LayeredFamily:
-    """Build the emulator from its file of solves.
-
-    Raises
-    ------
-    ToolError
-        If the file is missing or damaged.
-    """
+    """Build the emulator from its file of solves. Raises ToolError if the file is missing or damaged."""
     solved = read_solved(path, _MESH)
     if len(set(solved.member.tolist())) < _FOLDS:
         raise ToolError(

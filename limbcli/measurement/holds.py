@@ -70,10 +70,7 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
     tolerance : N, half the width of the band in which the smoothed force must stay
     duration_s : smallest duration of a hold
 
-    Raises
-    ------
-    MeasurementError
-        If there is none, stating the longest interval found.
+    Raises MeasurementError if there is none, stating the longest interval found.
     """
     good = np.isfinite(trace.force)
     if good.sum() < _FEWEST_SAMPLES:

@@ -56,10 +56,7 @@ def batch(
 def opened(folder: Path, out: Path) -> Case | CaseOutcome:
     """Open the case; if it cannot be read, write a report page that says why and return the failed outcome.
 
-    Raises
-    ------
-    CaseError
-        If the folder does not exist.
+    Raises CaseError if the folder does not exist.
     """
     from limbcli.stages.report import report_failure
 

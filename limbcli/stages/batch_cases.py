@@ -69,10 +69,7 @@ def outcomes(
 ) -> Iterator[CaseOutcome]:  # fmt: skip
     """Run all (case, output folder) pairs, one after the other here or together in several processes.
 
-    Raises
-    ------
-    ToolError
-        As `batch_cluster.together`.
+    Raises ToolError as `batch_cluster.together`.
     """
     if scheduler is None and jobs == 1:
         yield from (one_case(*pair, options, wait=wait, progress=progress) for pair in pairs)

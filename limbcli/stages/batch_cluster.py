@@ -147,10 +147,7 @@ class _Together:
     def _usable(self) -> list[str] | None:
         """Addresses of the workers that have not refused; None if any worker may be used.
 
-        Raises
-        ------
-        ToolError
-            If all workers have refused.
+        Raises ToolError if all workers have refused.
         """
         if not self.refused:
             return None
@@ -250,10 +247,7 @@ class _Together:
     def _without_answer(self, way: CaseProgress, part: BatchTask, error: Exception) -> PartOutcome:
         """A failed outcome for a part that Dask abandoned.
 
-        Raises
-        ------
-        ToolError
-            If the connection to the scheduler is lost.
+        Raises ToolError if the connection to the scheduler is lost.
         """
         from distributed import KilledWorker
 

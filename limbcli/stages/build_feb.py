@@ -77,15 +77,7 @@ def build_feb(
     case: Case, *, out: Path, sites: list[str] | None = None, options: TissueOptions = TissueOptions(),
     templates: Path | None = None, progress: Progress = SILENT,
 ) -> list[StageResult]:  # fmt: skip
-    """Write `model.feb` of each site.
-
-    Raises
-    ------
-    CaseError
-        If the mesh is missing or out of date, or a template is faulty.
-    MeasurementError
-        If the levels cannot be used, or c is neither measured nor given.
-    """
+    """Write `model.feb` of each site. Raises as `limbcli.build_feb`."""
     results = []
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)

@@ -87,14 +87,7 @@ def fit(
     speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png; if
     layers were read, also layers.csv and layers.png.
 
-    Raises
-    ------
-    CaseError
-        If the model of `build-feb` is missing or out of date.
-    MeasurementError
-        If the levels cannot be used, or c is neither measured nor given.
-    SolveError, FitError
-        If the model cannot be solved at the initial guess, or the search does not converge.
+    Raises as `limbcli.fit`.
     """
     options = options or FitOptions()
     check_numbers(options)

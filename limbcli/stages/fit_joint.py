@@ -107,10 +107,7 @@ def fit_joint(
     Writes fit-joint.json, a table of levels for each site, fit-joint.png, parameters.csv, fit.mat
     and material.feb; with `compare_laws` also laws.csv.
 
-    Raises
-    ------
-    CaseError, MeasurementError, SolveError, FitError
-        As `fit`.
+    Raises as `limbcli.fit_joint`.
     """
     joint, options = joint or JointOptions(), options or FitOptions()
     law = law_named(joint.law)

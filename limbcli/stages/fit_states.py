@@ -69,14 +69,7 @@ def fit_states(
     of levels for each state, parameters.csv, fit.mat, material.feb, and <state>.feb (each fitted state for
     FEBio).
 
-    Raises
-    ------
-    CaseError
-        If no site has states, they do not differ, or the model of `build-feb` is missing or out of date.
-    MeasurementError
-        If the levels of a state cannot be used, or lack a speed at rest.
-    SolveError, FitError
-        If the model cannot be solved at the initial guess, or the search does not converge.
+    Raises as `limbcli.fit_states`.
     """
     states, options = states or StatesOptions(), options or FitOptions()
     check_numbers(options, gain_deviation=states.gain_deviation)

@@ -38,12 +38,7 @@ def measure(
 ) -> list[StageResult]:
     """Read the instruments' files of each site; with `write`, write levels.csv where the case names it.
 
-    Raises
-    ------
-    CaseError
-        If a site names no instrument, or `write` would overwrite a file.
-    MeasurementError
-        If a record or image cannot be read, or their numbers of levels differ.
+    Raises as `limbcli.measure`.
     """
     results = []
     for site in case.selected(sites):

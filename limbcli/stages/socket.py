@@ -71,14 +71,7 @@ def socket(
 
     templates : folder of templates of the .feb; None: the bundled ones
 
-    Raises
-    ------
-    CaseError
-        If the case gives no socket, or the result of `limb` is missing or out of date.
-    MeshError
-        If the socket cannot be that of this limb.
-    SolveError
-        If donning or a load has no equilibrium.
+    Raises as `limbcli.socket`.
     """
     progress.event("stage", name=STAGE)
     _given(case, options)

@@ -56,13 +56,7 @@ def synth(
 ) -> StageResult:  # fmt: skip
     """Write a copy of `case` with simulated measurements, and the true values to `truth_file(out_case)`.
 
-    Raises
-    ------
-    CaseError
-        If `out_case` exists and `force` is not given, or is the case itself; if layers are to be
-        read but `segment` found none; if a state's true stretch is not given.
-    MeshError, SolveError
-        If a site cannot be meshed or simulated.
+    Raises as `limbcli.synth`.
     """
     _check_target(case, out_case, force=force)
     chosen = case.selected(sites)

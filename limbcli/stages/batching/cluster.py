@@ -133,10 +133,7 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
 def _local(jobs: int, folder: str) -> LocalCluster:
     """Start local processes; waiting parts queue at the scheduler and are not lost with a process.
 
-    Raises
-    ------
-    ToolError
-        If they do not start, e.g. because each new process would run the calling script again.
+    Raises ToolError if they do not start, e.g. because each new process would run the calling script again.
     """
     import dask
     from distributed import LocalCluster

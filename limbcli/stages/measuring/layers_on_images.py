@@ -21,10 +21,7 @@ def read_borders(
 ) -> dict[str, list[BoneLine]]:
     """Track the layers' lower borders that [site.b_mode] gives at level 0; by name. Adds a summary.
 
-    Raises
-    ------
-    MeasurementError
-        As `follow_borders`.
+    Raises MeasurementError as `follow_borders`.
     """
     stated: dict[str, Stated] = {
         name: table[f"{name}_mm"] for name in _FOLLOWED if table.get(f"{name}_mm") is not None

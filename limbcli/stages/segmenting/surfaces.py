@@ -235,10 +235,7 @@ def _whole(bone: Triangles) -> Triangles:
 def _read(path: Path, imaging: Imaging) -> Triangles:
     """The surface of a file, converted as the file states and as case.toml says.
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, or file and case give different units.
+    Raises CaseError if it cannot be read, or file and case give different units.
     """
     surface = read_surface(path)
     factor = _factor(path, imaging)
