@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -131,37 +130,23 @@ def _sides(meshed: StageResult | None) -> tuple[str, str] | None:
         return None
 
 
-_ORDER = ("segment", "mesh", "build-feb", "run", "fit")
-_EXTRA = (("mesh", "mesh-study"), ("build-feb", "fit-elements"), ("build-feb", "diagnose"))
+# Results that a stage resembles or uses if it is there, without recording it as an input.
+_NOT_RECORDED = (("mesh", "mesh-study"), ("build-feb", "diagnose"))
 
 
 def _older_results(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
-    """Sentences on results older than those they build on, if they do not record their inputs."""
-    pairs: list[tuple[Outcome | None, Outcome | None]] = []
-    for site in sites:
-        chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
-        if _is_of_the_model(outcomes.of("build-feb", site), outcomes.of("fit", site)):
-            chain.pop()
-        pairs += pairwise(each for each in chain if each.result)
-        pairs += [(outcomes.of(before, site), outcomes.maybe(after, site)) for before, after in _EXTRA]
-        joint = outcomes.maybe("fit-joint")
-        if joint and joint.result and site in joint.result.data.get("sites", ()):
-            pairs.append((outcomes.of("build-feb", site), joint))
-    reported = [_older(before, after) for before, after in pairs]
+    """Sentences on results older than others that they do not record as their inputs."""
+    reported = [
+        _older(outcomes.of(before, site), outcomes.maybe(after, site))
+        for site in sites
+        for before, after in _NOT_RECORDED
+    ]
     return [each for each in reported if each]
 
 
-def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:
-    """Whether a fit was made from the existing model file, regardless of the file's time."""
-    if built.result is None or fitted.result is None:
-        return False
-    model = built.result.data.get("model_sha256")
-    return model is not None and fitted.result.provenance.get("inputs_sha256", {}).get("model") == model
-
-
-def _older(before: Outcome | None, after: Outcome | None) -> str:
+def _older(before: Outcome, after: Outcome | None) -> str:
     """The sentence for a result made before the one that it builds on; empty otherwise."""
-    if before is None or after is None or before.result is None or after.result is None:
+    if after is None or before.result is None or after.result is None:
         return ""
     if before.label in after.result.provenance.get("made_from", {}).get("results", {}):
         return ""
