@@ -26,10 +26,10 @@ from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve,
 from limbcli.reporting.figures.hysteresis_loops import Loop, cycles
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
-from limbcli.reporting.figures.study import StudyRow, study_figure
 from limbcli.reporting.figures.style import plain_log
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_text, wave_speed
 from limbcli.reporting.fit_view import EstimateView
+from limbcli.stages.report_pages.index import StudyRow, study_figure
 
 DEPTH = np.linspace(0, 10, 11)
 MEASURED = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1)

@@ -28,8 +28,7 @@ from limbcli.reporting.report_data import CycleMaterial, ReportData, SiteMateria
 from limbcli.results import UNLIKE_OURS, StageResult
 from limbcli.site_model.cycle_words import capital, cycle_sentences
 from limbcli.site_model.site_levels import cycles_of, layer_noise
-from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
-from limbcli.stages.report_pages.site_on_limb import limb_place, limb_skin
+from limbcli.stages.report_pages.simulated_state import limb_place, limb_skin, read_deformed, read_residuals
 
 
 def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
