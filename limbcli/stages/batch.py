@@ -23,7 +23,7 @@ from limbcli.provenance.requested_options import in_words, options_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage, keep_error
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 
@@ -58,7 +58,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
 
     Raises CaseError if the folder does not exist.
     """
-    from limbcli.stages.report import report_failure
+    from limbcli.stages.report_pages.failure import report_failure
 
     try:
         return Case.open(folder)
@@ -66,7 +66,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
         if not folder.is_dir():
             raise
         page = report_failure(folder, error, out=out).path("page")
-        return CaseOutcome(folder, out, failures=[StepFailure("check", None, error)], report=page)
+        return CaseOutcome(folder, out, failures=[FailedStage("check", None, error)], report=page)
 
 
 @dataclass(frozen=True)
@@ -223,7 +223,7 @@ class CaseRun:
         self._stage("socket", None, own, pressed)
         return [key, own]
 
-    def keep(self, failure: StepFailure) -> None:
+    def keep(self, failure: FailedStage) -> None:
         """Record a failure for the report, in case its process was lost before it could do so itself."""
         stage, site = failure.stage, failure.site
         if (stage_folder(self.out, stage, site) / ERROR_FILE).is_file():
@@ -341,7 +341,7 @@ class CaseRun:
             self._pass_on(work())
         except LimbError as raised:
             error = pasted(raised, self.case.folder, self.out)
-            self.outcome.failures.append(StepFailure(stage, site, error))
+            self.outcome.failures.append(FailedStage(stage, site, error))
             for each in memories:
                 keep_error(self.out, stage, each, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")

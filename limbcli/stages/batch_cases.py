@@ -14,7 +14,7 @@ from limbcli.files.output_lock import one_writer
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch
 from limbcli.stages.batch_task import in_words
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage
 from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
 
 
@@ -59,7 +59,7 @@ def one_case(
         with turn if case.is_dir() else nullcontext():
             return batch(case, out=out, options=options, progress=progress)
     except Exception as error:  # an error in one case never stops the others
-        failure = StepFailure("", None, pasted(in_words(error, out), case, out))
+        failure = FailedStage("", None, pasted(in_words(error, out), case, out))
         return CaseOutcome(case, out, failures=[failure], begun=False)
 
 
@@ -88,7 +88,7 @@ def _readable(folder: Path) -> Case | None:
         return None
 
 
-def expectations(case: Path, out: Path, *, progress: Progress) -> tuple[list[Comparison], list[StepFailure]]:
+def expectations(case: Path, out: Path, *, progress: Progress) -> tuple[list[Comparison], list[FailedStage]]:
     """All comparisons with the case's expected.toml, and a failure for each that is not met."""
     file = case / EXPECTED_FILE
     if not file.is_file():
@@ -97,10 +97,10 @@ def expectations(case: Path, out: Path, *, progress: Progress) -> tuple[list[Com
     try:
         found = compare(case, out, case=_readable(case))
     except LimbError as error:
-        return [], [StepFailure(EXPECTED_FILE, None, error)]
+        return [], [FailedStage(EXPECTED_FILE, None, error)]
     fix = "check the report; if the new value is right, enter it there; correct any name that was not found"
     unlike = [
-        StepFailure(
+        FailedStage(
             "", None,
             FitError(f"{each.name} is {each.found}, expected {each.expected}", where=str(file), fix=fix),
         )

@@ -29,7 +29,7 @@ from limbcli.stages.batch_task import (
     work,
 )
 from limbcli.stages.batching.cluster import WorkerRefused, WorkerStanding, connected, lost_workers, threads_of
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -269,7 +269,7 @@ class _Together:
             text = f"the cluster abandoned it ({type(error).__name__}: {error})"
             reported = ToolError(text, where=part.name, fix=f"check the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
-        outcome = CaseOutcome(part.case, part.out, failures=[StepFailure(stage, part.site, reported)])
+        outcome = CaseOutcome(part.case, part.out, failures=[FailedStage(stage, part.site, reported)])
         return PartOutcome(outcome, is_all=part.kind == LAST)
 
     # ------------------------------------------------------------ progress

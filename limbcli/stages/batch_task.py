@@ -14,7 +14,7 @@ from limbcli.progress import Listener, Progress
 from limbcli.results import CALLED
 from limbcli.stages.batch import DIAGNOSE, CaseRun, StartedCase, opened
 from limbcli.stages.batching.cluster import WorkerStanding, as_called, refuse_other
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage
 from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
@@ -135,7 +135,7 @@ def done(part: BatchTask, call: Call, listener: Listener) -> PartOutcome:
     try:
         return _KINDS[part.kind](part, call, progress)
     except Exception as error:  # an error in one part never stops the others
-        outcome.failures.append(StepFailure(heard.stage, part.site, in_words(error, part.out)))
+        outcome.failures.append(FailedStage(heard.stage, part.site, in_words(error, part.out)))
     return PartOutcome(outcome, is_all=not part.case.is_dir())
 
 

@@ -54,7 +54,7 @@ def test_every_command_prints_by_the_one_function():
         ]
         prints = [each for each in calls if isinstance(each.func, ast.Name) and each.func.id == "print"]
         is_json = ["json.dumps" in ast.unparse(each) for each in prints]
-        assert path.name == "say.py" or all(is_json), path.name
+        assert path.name == "output.py" or all(is_json), path.name
 
 
 def test_the_cohort_prints_no_control_character_of_its_table(tmp_path: Path):
