@@ -45,7 +45,7 @@ def test_results_and_errors_are_printed_without_control_characters(
 
 
 def test_every_command_prints_by_the_one_function():
-    """Only say.py and JSON (which escapes) print; the progress line's own codes stay in terminal.py."""
+    """Only output.py and JSON (which escapes) print; the progress line's own codes stay in terminal.py."""
     for path in CLI.glob("*.py"):
         calls = [
             each
