@@ -153,8 +153,6 @@ def fit_by_objective(
     compare_element: Annotated[
         bool, Option("Compare tet4 and tet10 on the same mesh.", before="templates")
     ] = False,
-    law: str,
-    compare_laws: bool,
     out: Path | None,
     sites: list[str] | None,
     solver: str,
@@ -169,36 +167,22 @@ def fit_by_objective(
     from limbcli.stages.fit import FitOptions, check_choice, fit
 
     options = FitOptions(c_deviation=c_deviation_fraction, gain_deviation=gain_deviation_fraction, **others)
-    given = {"--law": law != "ogden", "--compare-laws": compare_laws}
-    check_choice(
-        objective, compare_element=compare_element, solver=solver, stiffness_map=options.stiffness_map,
-        joint_only=[name for name, is_given in given.items() if is_given],
-        options=options, febio=febio,
-    )  # fmt: skip
+    check_choice(objective, options, compare_element=compare_element, solver=solver, febio=febio)
     with at_work(case, out, wait=wait, progress=progress) as work:
-        opened, folder = work.case, work.out
+        common: dict[str, Any] = {"out": work.out, "sites": sites, "options": options, "progress": progress}
         if compare_element:
             from limbcli.stages.fit_elements import compare_elements
 
-            return compare_elements(opened, out=folder, sites=sites, options=options, progress=progress)
+            return compare_elements(work.case, **common)
         if objective == "joint":
-            from limbcli.stages.fit_joint import JointOptions, fit_joint
+            from limbcli.stages.fit_joint import fit_joint
 
-            joint = JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation_fraction)
-            return fit_joint(opened, out=folder, sites=sites, joint=joint, options=options, progress=progress)
-        results = []
-        if objective == "force":
-            results += fit(
-                opened, out=folder, sites=sites, solver=solver, febio=febio, options=options,
-                progress=progress,
-            )  # fmt: skip
-        if objective == "states" or any(each.states for each in opened.selected(sites)):
-            from limbcli.stages.fit_states import StatesOptions, fit_states
+            return fit_joint(work.case, **common)
+        results = fit(work.case, solver=solver, febio=febio, **common) if objective == "force" else []
+        if objective == "states" or any(each.states for each in work.case.selected(sites)):
+            from limbcli.stages.fit_states import fit_states
 
-            states = StatesOptions(law=law, gain_deviation=gain_deviation_fraction)
-            results += fit_states(
-                opened, out=folder, sites=sites, states=states, options=options, progress=progress
-            )
+            results += fit_states(work.case, **common)
         return results
 
 

@@ -72,6 +72,7 @@ __all__ = [
 ]  # fmt: skip
 
 STAGE = "fit"
+_MOST_SOLVES = 12  # usual number of additional simulations for the intervals
 START = np.array([START_F_KAPPA, 2.0])
 _FIRST_SOLVES = 2  # greatest number of additional simulations for the interval of the first step
 
@@ -149,7 +150,7 @@ def _fit_site(
             )
         elif options.intervals:
             search = _IntervalSearch(
-                match=match, known=known, steps=steps, max_solves=options.max_interval_solves,
+                match=match, known=known, steps=steps, max_solves=options.most_solves(_MOST_SOLVES),
                 progress=progress,
             )  # fmt: skip
             # the wide ones first, as the solves at their ends serve the narrower ones too

@@ -217,7 +217,7 @@ def _measure_site(
             stretch=None if state is None else (state.along, state.around),
         )  # fmt: skip
         true = indent(
-            press, protocol=protocol, window=options.window, density_kg_per_m3=site.density_kg_per_m3,
+            press, protocol=protocol, density_kg_per_m3=site.density_kg_per_m3,
             change_for_waves=_change(for_waves), borders=borders,
         )  # fmt: skip
         readings = read_off(true, law, options, number, state=None if state is None else k)

@@ -21,7 +21,7 @@ from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.material_lines import material_lines
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from tests.stages import block_case as block
 
 C, SHAPE = 0.008, np.array([20.0, 5.0])
@@ -144,8 +144,8 @@ def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
 def test_the_joint_fit_uses_layers_and_finds_the_truth(truth, tmp_path):
     case = layered_case(tmp_path, truth)
     found = fit_joint(
-        case, out=tmp_path / "out", joint=JointOptions(max_solves=4),
-        options=FitOptions(contact_check=False, boundary_check=False),
+        case, out=tmp_path / "out",
+        options=FitOptions(contact_check=False, boundary_check=False, max_interval_solves=4),
     )  # fmt: skip
     assert found.data["n_layer_readings"] == 8
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.01)

@@ -31,7 +31,7 @@ def test_a_standard_error_is_the_scatter_of_fits_also_where_noise_is_larger_than
     for _ in range(14):
         force = limb.force(KNOTS, C, 50.0, 5.0, "tet4") + larger * 0.1 * rng.standard_normal(len(KNOTS))
         data = ForceDepth(force, KNOTS, 0.1, 0.0)
-        steps = two_step(CurveMatch(memory, KNOTS, data), guided=False)
+        steps = two_step(CurveMatch(memory, KNOTS, data))
         whole = Identified(memory, KNOTS, data, Stiffness(C, 0.0), "", steps[0].theta, steps, None, 0.0)
         found.append(np.log(steps[-1].theta[1]))
         stated.append(np.sqrt(total_covariance(whole, steps[-1])[2, 2]))
@@ -44,7 +44,7 @@ def found_of(depth, force, **options):
     knots = np.unique(depth[depth > 0.0])
     memory = SolvedPoints(limb.curve(knots, C, "tet4"))
     data = ForceDepth(force, depth, 0.1, 0.1)
-    steps = two_step(CurveMatch(memory, knots, data), guided=False)
+    steps = two_step(CurveMatch(memory, knots, data))
     start = np.array([100.0, 2.0])
     return Identified(memory, knots, data, Stiffness(C, 0.1), "", start, steps, None, 0.0, **options)
 

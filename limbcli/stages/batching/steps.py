@@ -36,6 +36,7 @@ def site_steps(
     """The steps in order. `requested`: for each stage, the options of its last manual call."""
     from limbcli.stages.build_feb import TissueOptions, build_feb
     from limbcli.stages.fit import FitOptions, fit
+    from limbcli.stages.fit_states import fit_states
     from limbcli.stages.mesh import MeshRequest, mesh
     from limbcli.stages.run import RunOptions, run
 
@@ -72,16 +73,9 @@ def site_steps(
     if case.site(name).states:
         several = requested.get(FIT_STATES, {})
         parts = (*steps[-1].parts, *parts_of(several))
-        steps.append(SiteStep(FIT_STATES, parts, _states_fit(case, several, common)))
+        of_states = options_of(FitOptions, several)
+        steps.append(SiteStep(FIT_STATES, parts, lambda: fit_states(case, options=of_states, **common)))
     return steps
-
-
-def _states_fit(case: Case, requested: Requested, common: Mapping[str, Any]) -> Callable[[], object]:
-    from limbcli.stages.fit import FitOptions
-    from limbcli.stages.fit_states import StatesOptions, fit_states
-
-    states, options = options_of(StatesOptions, requested), options_of(FitOptions, requested)
-    return lambda: fit_states(case, states=states, options=options, **common)
 
 
 def parts_of(requested: Requested) -> tuple[object, ...]:
