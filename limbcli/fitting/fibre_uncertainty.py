@@ -87,10 +87,15 @@ _ACROSS, _ALONG = 0.25, 0.75
 
 def share_along(model: LimbModel) -> float:
     """Share of the fibres' shear stiffness in the image's wave speed: f_x^2 + f_z^2 (0 across, 1 along)."""
+    axis = mean_fibre(model)
+    return float(axis[0] ** 2 + axis[2] ** 2)
+
+
+def mean_fibre(model: LimbModel) -> Array:
+    """The fibres' mean axis (3,), a unit vector."""
     direction = fibre_direction(model)
     axes = direction.values if isinstance(direction, ElementMap) else np.array([direction], dtype=float)
-    axis, _ = mean_axis(axes)
-    return float(axis[0] ** 2 + axis[2] ** 2)
+    return mean_axis(axes)[0]
 
 
 def write_orientations(

@@ -11,6 +11,7 @@ from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.site_depth import SiteMeasurement, SitePrediction
 from limbcli.measurement.levels import LAYERS
+from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.style import BLUE, GREEN, INK, VERMILION, new_figure, style
@@ -55,7 +56,7 @@ def draw_joint(
                 each.set_label(f"{of} {data.name}, layers")
                 _layers(each, data, seen)
         save_figure(figure, writer.file("picture", file))
-    _draw_profiles(found, writer)
+    draw_profiles(found, found.best, writer)
 
 
 def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
@@ -81,7 +82,8 @@ def _nothing(axes: Axes, words: str) -> None:
     axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
 
 
-def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
+def draw_profiles(found: Intervals, estimates: Array, writer: StageWriter) -> None:
+    """Draw profiles.png. estimates : the fit's values (at least n_profiles,), in the order of the profiles"""
     profiles = []
     for k, (name, each) in enumerate(found.profiles.items()):
         unit = kpa_from_mpa(1.0) if name == "c" else 1.0
@@ -91,7 +93,7 @@ def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
                 _short(name),
                 values,
                 each.deviance,
-                unit * float(found.best[k]),
+                unit * float(estimates[k]),
                 "kPa" if name == "c" else "–",
                 found.threshold,
                 (unit * each.low, unit * each.high),

@@ -10,11 +10,11 @@ from typing import Any
 from limbcli.case import Case
 from limbcli.progress import Progress
 from limbcli.provenance.requested_options import Requested, options_of
+from limbcli.reporting.outcome import SITE_STAGES
 from limbcli.results import stage_folder
 from limbcli.solvers import identity
 from limbcli.stages.batching.outcome import BatchOptions
 
-SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 FIT_STATES = "fit-states"  # run after the other stages, for a site that has states
 
 

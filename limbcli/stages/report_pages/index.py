@@ -22,7 +22,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.reporting.figures.style import INK, literal, new_figure, plain_log, style
 from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
 from limbcli.reporting.numbers import DASH, cell
-from limbcli.reporting.outcome import Failure, failure_of
+from limbcli.reporting.outcome import SITE_STAGES, Failure, failure_of
 from limbcli.reporting.page import data_uri, render
 from limbcli.reporting.reportlet import Cell, Mood, worst_mood
 from limbcli.reporting.sections.parameters import interval_text, with_verdict
@@ -96,7 +96,7 @@ def _picture(rows: list[IndexRow], folder: Path) -> str:
     return data_uri(svg)
 
 
-_OF_CASE, _OF_SITES = ("segment", "report"), ("mesh", "build-feb", "run", "fit")
+_OF_CASE = ("segment", "report")
 
 
 def _is_output(folder: Path) -> bool:
@@ -109,7 +109,7 @@ def _is_output(folder: Path) -> bool:
     own = [stage_folder(folder, stage) / f"{stage}.json" for stage in _OF_CASE]
     if any(each.is_file() for each in (*own, stage_folder(folder, _OF_CASE[0]) / ERROR_FILE)):
         return True
-    return any(any(stage_folder(folder, stage).glob(f"*/{stage}.json")) for stage in _OF_SITES)
+    return any(any(stage_folder(folder, stage).glob(f"*/{stage}.json")) for stage in SITE_STAGES)
 
 
 def _rows(out: Path, folder: Path) -> list[IndexRow]:
