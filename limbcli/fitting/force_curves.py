@@ -56,13 +56,7 @@ def level_times(model: LimbModel) -> Array:
 
 
 def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
-    """Rows of `values` (n_times, ...) at the level times.
-
-    Raises
-    ------
-    SolveError
-        If a level was not reached.
-    """
+    """Rows of `values` (n_times, ...) at the level times. Raises SolveError if a level was not reached."""
     nearest = np.abs(simulation.times[None, :] - times[:, None]).argmin(axis=1)
     missed = np.abs(simulation.times[nearest] - times) > _SAME_TIME
     if missed.any():

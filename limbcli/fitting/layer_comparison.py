@@ -71,10 +71,7 @@ def predict_layers(
 ) -> PredictedLayers:
     """The simulated layer thicknesses at every loading level.
 
-    Raises
-    ------
-    MeasurementError
-        If a border lies outside the model's tissue, or no displacements were recorded.
+    Raises MeasurementError if a border lies outside the model's tissue, or no displacements were recorded.
     """
     numbers, rows = simulated_rows(levels, simulation.probe_depth())
     lines = layers.lines(model)

@@ -35,10 +35,7 @@ def batch(
 ) -> CaseOutcome:
     """Run all stages of one case; failures are recorded in the outcome and shown in the report.
 
-    Raises
-    ------
-    CaseError
-        If the folder does not exist.
+    Raises CaseError if the folder does not exist.
     """
     case = opened(folder, out)
     if isinstance(case, CaseOutcome):

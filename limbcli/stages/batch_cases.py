@@ -21,10 +21,7 @@ from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
 def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, Path]]:
     """Each case once, with its output folder: `out` for a single case, a subfolder of it for several.
 
-    Raises
-    ------
-    CaseError
-        If two cases would have the same output folder.
+    Raises CaseError if two cases would have the same output folder.
     """
     several = list({case.resolve(): case for case in cases}.values())
     taken: dict[Path, Path] = {}

@@ -86,10 +86,7 @@ class PartOutcome:
 def work(part: BatchTask, call: Call) -> PartOutcome:
     """Run one part on a worker; its errors are recorded in its outcome.
 
-    Raises
-    ------
-    WorkerRefused
-        If this worker's code differs from the client's.
+    Raises WorkerRefused if this worker's code differs from the client's.
     """
     from distributed import get_worker
 

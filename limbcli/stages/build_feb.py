@@ -124,10 +124,7 @@ def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) 
 
     Without a level 0 the speed of the first row is used, and the source says so.
 
-    Raises
-    ------
-    MeasurementError
-        If level 0 has no speed and no c is given, or the given c is out of range.
+    Raises MeasurementError if level 0 has no speed and no c is given, or the given c is out of range.
     """
     if c_kpa is not None:
         low, high = C_KPA

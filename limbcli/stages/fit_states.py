@@ -160,10 +160,7 @@ def first_simulations(
 def knots(measured: Sequence[MeasuredState]) -> list[float]:
     """Simulated depths (mm), up to slightly beyond the deepest reading of all states.
 
-    Raises
-    ------
-    MeasurementError
-        If no reading is deeper than 1 mm.
+    Raises MeasurementError if no reading is deeper than 1 mm.
     """
     deepest = max(float(np.max(each.levels.depth[each.levels.loading])) for each in measured)
     if deepest < 2 * _LEAST_DEPTH:

@@ -122,10 +122,7 @@ def measure_sites(
 ) -> list[SyntheticSite]:
     """Simulate every site on its mesh and take the readings; run `segment` and `mesh` if necessary.
 
-    Raises
-    ------
-    CaseError
-        If the fitted mesh is to be used, but another element type or other sizes are given.
+    Raises CaseError if the fitted mesh is to be used, but another element type or other sizes are given.
     """
     _refuse_unheard(options)
     numbers = {each.name: k for k, each in enumerate(case.sites)}

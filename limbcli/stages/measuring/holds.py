@@ -31,10 +31,7 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
 
     table : [site.load_cell]
 
-    Raises
-    ------
-    MeasurementError
-        If the record cannot be read, or contains no hold.
+    Raises MeasurementError if the record cannot be read, or contains no hold.
     """
     from limbcli.measurement.instrument_pictures import draw_holds
 

@@ -51,10 +51,7 @@ class IndexResult:
 def report_index(folder: Path, *, templates: Path | None = None, progress: Progress = SILENT) -> IndexResult:
     """Write `<folder>/index.html`: one row per site of every subject with results below `folder`.
 
-    Raises
-    ------
-    CaseError
-        If the folder is absent or holds no subject's results.
+    Raises CaseError if the folder is absent or holds no subject's results.
     """
     if not folder.is_dir():
         raise CaseError(

@@ -30,10 +30,7 @@ _GRADIENT = tuple(f"F{row}{column}" for row in "xyz" for column in "xyz")
 def read_deformed(result: StageResult) -> DeformedState | None:
     """The last converged state of a stage's simulation, or None if there is none.
 
-    Raises
-    ------
-    LimbError
-        If model or records cannot be read, or contain no displacements.
+    Raises LimbError if model or records cannot be read, or contain no displacements.
     """
     feb = next((path for name in _MODEL_FILES if (path := result.folder / name).is_file()), None)
     if feb is None:
