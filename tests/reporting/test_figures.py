@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from limbcli.cohorts.figures import compliance, distributions
 from limbcli.drawing import figure_data
 from limbcli.fitting.layer_comparison import layers_figure
-from limbcli.fitting.states_picture import StateReading, StatesPanel, states_figure
+from limbcli.fitting.states_result import StateReading, StatesPanel, states_figure
 from limbcli.fitting.stiffness_map import stiffness_figure
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
