@@ -14,9 +14,11 @@ from matplotlib.figure import Figure
 
 from limbcli.cohorts.figures import compliance, distributions
 from limbcli.drawing import figure_data
+from limbcli.fitting.joint_picture import profile_figure
 from limbcli.fitting.layer_comparison import layers_figure
 from limbcli.fitting.states_result import StateReading, StatesPanel, states_figure
 from limbcli.fitting.stiffness_map import stiffness_figure
+from limbcli.inference.profile import Profile
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
 from limbcli.model import Block, ElementMap, Mesh
@@ -24,7 +26,6 @@ from limbcli.numbers.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.figures.hysteresis_loops import Loop, cycles
-from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
 from limbcli.reporting.figures.style import plain_log
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_text, wave_speed
@@ -133,31 +134,14 @@ def test_an_undefined_r2_is_said_in_words():
 @pytest.mark.parametrize(("low", "high"), [(0.01, 1000.0), (1.0, 190.0), (3.0, 40.0)])
 def test_labels_of_a_profile_do_not_touch(low, high):
     values = np.geomspace(low, high, 20)
-    curves = [ProfileCurve(name, values, np.linspace(0, 5, 20), low) for name in ("f_kappa", "m")]
-    figure = profile_figure(curves)
+    curves = {name: profile(name, values, np.linspace(0, 5, 20)) for name in ("f_kappa", "m")}
+    figure = profile_figure(curves, np.array([low, low]), THRESHOLD_95)
     FigureCanvasAgg(figure).draw()
     for axes in figure.axes:
         boxes = [each.get_window_extent() for each in axes.get_xticklabels() if each.get_text()]
         inside = [each for each in boxes if axes.bbox.x0 <= (each.x0 + each.x1) / 2 <= axes.bbox.x1]
         assert len(inside) >= 2
         assert all(one.x1 < other.x0 for one, other in pairwise(inside))
-
-
-def test_profile_is_shaded_to_where_it_crosses_the_limit():
-    values = np.linspace(1.0, 9.0, 33)
-    crossing = 2.0 * np.sqrt(THRESHOLD_95)
-    whole = ProfileCurve("m", values, ((values - 5.0) / 2.0) ** 2, 5.0)
-    open_above = ProfileCurve(
-        "f_kappa", values, np.where(values < 5.0, ((values - 5.0) / 2.0) ** 2, 0.0), 5.0
-    )
-    estimated = ProfileCurve("m", values, whole.deviance, 5.0, limit=2.25)
-    reported = ProfileCurve("m", values, whole.deviance, 9.5, interval=(1.5, 9.5))
-    panels = profile_figure([whole, open_above, estimated, reported]).axes
-    ends_of = [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0), (2.0, 8.0), (1.5, 9.5)]
-    for axes, ends in zip(panels, ends_of, strict=True):
-        (shade,) = axes.patches
-        low, high = shade.get_x(), shade.get_x() + shade.get_width()
-        assert (low, high) == pytest.approx(ends, abs=0.02)
 
 
 def test_sites_of_a_cohort_are_labelled_as_they_are_named():
@@ -195,9 +179,12 @@ def test_no_legend_lies_over_what_is_drawn():
         unloaded=1.0,
         lowest=None,
     )
+    place = np.geomspace(1.0, 20.0, 20)
+    valley = profile("m", place, np.log(place / 4.0) ** 2)
     for figure in (
         force_depth(measured, [curve("start", 9.0), curve("ogden", 1.5)]),
-        fit_walk(walks), cycles(loops), states_figure([panel]), profile_figure([valley("m")]),
+        fit_walk(walks), cycles(loops), states_figure([panel]),
+        profile_figure({"m": valley}, np.array([4.0]), THRESHOLD_95),
         wave_speed(SPEEDS, against_force=Line(0.05, 2.0, None, None, 3), against_depth=None),
     ):  # fmt: skip
         drawn(figure)
@@ -208,9 +195,9 @@ def test_no_legend_lies_over_what_is_drawn():
             assert 0 <= box.x0 < box.x1 <= figure.bbox.x1 + 1
 
 
-def valley(name: str) -> ProfileCurve:
-    values = np.geomspace(1.0, 20.0, 20)
-    return ProfileCurve(name, values, np.log(values / 4.0) ** 2, 4.0)
+def profile(name: str, values: np.ndarray, deviance: np.ndarray) -> Profile:
+    low, high = values[0], values[-1]
+    return Profile(name, values, deviance, values[:, None], low, high, False, False, values)
 
 
 def test_a_misfit_of_nothing_does_not_squeeze_the_others():

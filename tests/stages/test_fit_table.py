@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from limbcli.fitting import joint_picture
 from limbcli.fitting import result as fit_result
 from limbcli.fitting.result import summarise, write_agreement, write_curves
 from limbcli.fitting.table import Identified, step_agreement, step_table, total_covariance
@@ -15,7 +16,6 @@ from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import Profile
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
-from limbcli.reporting.figures import profiles
 from limbcli.results import open_stage, read_result
 from tests.loading import module_at
 
@@ -97,11 +97,13 @@ def test_profiles_are_shaded_as_far_as_the_intervals_that_are_told(tmp_path, mon
     depth = np.array([0.0, 3.0, 6.0, 9.0])
     found = replace(found_of(depth, np.array([0.0, 6.2, 14.6, 28.0])), intervals=(reported, reported))
     drawn = []
-    monkeypatch.setattr(profiles, "profile_figure", drawn.append)
+    monkeypatch.setattr(joint_picture, "save_figure", lambda figure, _: drawn.append(figure))
     monkeypatch.setattr(fit_result, "save_figure", lambda *_: None)
     site = SimpleNamespace(noise=SimpleNamespace(depth=0.1, force=0.1))
     fit_result.draw_fit(found, site, SimpleNamespace(file=lambda *_: tmp_path))
-    assert [each.interval for each in drawn[0]] == [(1.2, 9.0)] * 2
+    for axes in drawn[0].axes:
+        (shade,) = axes.patches
+        assert (shade.get_x(), shade.get_width()) == pytest.approx((1.2, 9.0 - 1.2))
 
 
 @pytest.mark.parametrize(
