@@ -36,7 +36,6 @@ def site_steps(
     """The steps in order. `requested`: for each stage, the options of its last manual call."""
     from limbcli.stages.build_feb import TissueOptions, build_feb
     from limbcli.stages.fit import FitOptions, fit
-    from limbcli.stages.fit_states import fit_states
     from limbcli.stages.mesh import MeshRequest, mesh
     from limbcli.stages.run import RunOptions, run
 
@@ -71,6 +70,8 @@ def site_steps(
         ),
     ]
     if case.site(name).states:
+        from limbcli.stages.fit_states import fit_states
+
         several = requested.get(FIT_STATES, {})
         parts = (*steps[-1].parts, *parts_of(several))
         of_states = options_of(FitOptions, several)
