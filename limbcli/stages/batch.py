@@ -134,13 +134,6 @@ class CaseRun:
                 for name in names:
                     self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
                 return
-        memories = [self._memory(DIAGNOSE, name) for name in names]
-        if not self.options.defaults and all(
-            memory.made_since(DIAGNOSE, name) and self._holds(DIAGNOSE, name)
-            for name, memory in zip(names, memories, strict=True)
-        ):
-            for name, memory in zip(names, memories, strict=True):
-                memory.remember(DIAGNOSE, name, key)
         of_batch = {"solver": self.options.solver, "febio": self.options.febio}
         if self.options.templates:
             of_batch["templates"] = self.options.templates
@@ -149,7 +142,7 @@ class CaseRun:
         def work() -> object:
             return diagnose(self.case, sites=list(names), options=options, **self._common())
 
-        self._stage(DIAGNOSE, names[0], key, work, beside=names[1:])
+        self._stage(DIAGNOSE, names[0], key, work, beside=names[1:], keeps_manual=True)
 
     def last(self, first: str, keys: Sequence[str]) -> None:
         """Update what depends on all sites: the fits made on demand, and the report.
@@ -214,10 +207,7 @@ class CaseRun:
             self._skip(("socket",), None, because="limb")
             return [key]
         own = key_of("socket", key, *used["socket"], *parts_of(asked["socket"]))
-        made_by_hand = not self.options.defaults and self.memory.made_since("socket", None)
-        if made_by_hand and self._holds("socket", None):
-            self.memory.remember("socket", None, own)  # perhaps with intervals
-        self._stage("socket", None, own, pressed)
+        self._stage("socket", None, own, pressed, keeps_manual=True)  # perhaps with intervals
         return [key, own]
 
     def keep(self, failure: FailedStage) -> None:
@@ -317,15 +307,26 @@ class CaseRun:
 
     def _stage(
         self, stage: str, site: str | None, key: str, work: Callable[[], object], *,
-        keep_result: bool = False, beside: Sequence[str] = (),
+        keep_result: bool = False, beside: Sequence[str] = (), keeps_manual: bool = False,
     ) -> bool:  # fmt: skip
         """Run a stage unless its result is up to date; False if it failed.
 
         keep_result : keep the earlier result if the stage fails
         beside : other sites whose results the same work writes
+        keeps_manual : a result made by hand counts as up to date for as long as it is valid
         """
         label = f"{stage} {site}" if site else stage
         memories = {each: self._memory(stage, each) for each in (site, *beside)}
+        if (
+            keeps_manual
+            and not self.options.defaults
+            and all(
+                memory.made_since(stage, each) and self._holds(stage, each)
+                for each, memory in memories.items()
+            )
+        ):
+            for each, memory in memories.items():
+                memory.remember(stage, each, key)
         if not self.options.force and all(
             memory.is_fresh(stage, each, key) and self._holds(stage, each)
             for each, memory in memories.items()
