@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from limbcli.errors import CaseError, errors_of_site
+from limbcli.errors import CaseError, LimbError, errors_of_site
 from limbcli.errors.pasted_commands import command_line
 from limbcli.files.atomic import atomic_folder, sha256
 from limbcli.version import __version__
@@ -358,3 +358,15 @@ def plain(value: Any) -> Any:
     if isinstance(value, Path):
         return str(value)
     return value
+
+
+def error_json(error: LimbError) -> dict[str, Any]:
+    """An error as JSON: family, exit code, what, where, fix and facts."""
+    return {
+        "error": type(error).__name__,
+        "exit_code": error.exit_code,
+        "what": error.what,
+        "where": error.where,
+        "fix": error.fix,
+        "facts": json.loads(json.dumps(plain(error.facts), default=str)),
+    }

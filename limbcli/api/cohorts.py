@@ -15,26 +15,11 @@ from limbcli.errors import CaseError, LimbcliError
 from limbcli.files.output_lock import one_writer
 from limbcli.options import ELEMENT, FEBIO, OUT, PROGRESS, SOLVER, TEMPLATES, WAIT, Option, SolverName
 from limbcli.results import StageResult
+from limbcli.stages.batching.outcome import BatchOptions, FailedStage
 
 if TYPE_CHECKING:
     from limbcli.progress import Progress
     from limbcli.stages.batching.outcome import CaseOutcome
-
-
-@dataclass(frozen=True)
-class FailedStage:
-    """A failed stage of a case, and the reason.
-
-    Attributes
-    ----------
-    stage : name such as "fit"; "" where the case could not be started or an expectation is not met
-    site : None for a stage of the whole subject
-    error : with message, where and fix
-    """
-
-    stage: str
-    site: str | None
-    error: LimbcliError
 
 
 @dataclass(frozen=True)
@@ -66,7 +51,7 @@ class CaseResult(Tabular):
     def __str__(self) -> str:
         if self.ok:
             return f"{self.case}: done, {self.report or 'without a report'}"
-        lines = (f"{each.stage} {each.site or ''}".strip() + f": {each.error}" for each in self.failures)
+        lines = (f"{each.place}: {each.error}" for each in self.failures)
         return "\n  ".join([f"{self.case}: failed", *"\n".join(lines).splitlines()])
 
     def rows(self) -> list[dict[str, Any]]:
@@ -213,7 +198,6 @@ def batch(
         If Dask is not installed, no scheduler answers, or the connection to it is lost.
     """
     from limbcli.stages.batch_cases import n_processes, outcomes, output_folders
-    from limbcli.stages.batching.outcome import BatchOptions
 
     folders = _folders(cases)
     heard = listening(progress)
@@ -258,10 +242,9 @@ def _case_result(
 
     wanted = expect and outcome.begun
     compared, unlike = expectations(case, target, progress=heard) if wanted else ([], [])
-    failures = [FailedStage(f.stage, f.site, f.error) for f in [*outcome.failures, *unlike]]
     return CaseResult(
-        case, target, tuple(outcome.ran), tuple(outcome.fresh), tuple(failures), tuple(map(str, compared)),
-        outcome.report,
+        case, target, tuple(outcome.ran), tuple(outcome.fresh), (*outcome.failures, *unlike),
+        tuple(map(str, compared)), outcome.report,
     )  # fmt: skip
 
 

@@ -132,13 +132,12 @@ def fit_joint(
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = FitOptions(
             c_kpa=c_kpa, c_deviation=c_deviation_fraction, contact_check=contact_check,
-            boundary_check=boundary_check, cycle=str(cycle),
+            boundary_check=boundary_check, cycle=str(cycle), law=law, compare_laws=compare_laws,
+            gain_deviation=gain_deviation_fraction,
         )  # fmt: skip
-        joint = stage.JointOptions(law=law, compare_laws=compare_laws, gain_deviation=gain_deviation_fraction)
         return stage.fit_joint(
-            work.case, out=work.out, sites=names_of(sites), joint=joint, options=options,
-            progress=work.progress,
-        )  # fmt: skip
+            work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
+        )
 
 
 @each_site(StatesFitResult)
@@ -165,12 +164,13 @@ def fit_states(
     SolveError, FitError
         As `fit`.
     """
+    from limbcli.fitting.options import FitOptions
     from limbcli.stages import fit_states as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        states = stage.StatesOptions(law=law, gain_deviation=gain_deviation_fraction)
+        options = FitOptions(law=law, gain_deviation=gain_deviation_fraction)
         return stage.fit_states(
-            work.case, out=work.out, sites=names_of(sites), states=states, progress=work.progress
+            work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
         )
 
 

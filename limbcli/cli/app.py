@@ -15,11 +15,8 @@ from typing import Annotated, NoReturn
 import typer
 
 from limbcli.cli.commands import COMMANDS, Command
-from limbcli.cli.error_output import report_error
 from limbcli.cli.fixes import for_command_line
-from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
-from limbcli.cli.results_stream import results
-from limbcli.cli.say import say
+from limbcli.cli.output import INTERRUPTED, MESSAGE, report_error, results, say
 from limbcli.config import at_home
 from limbcli.errors import CaseError, LimbError
 from limbcli.errors.file_system import NO_MEMORY, in_words

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import typer
 
-from limbcli.cli.error_output import report_error
-from limbcli.cli.say import say
+from limbcli.cli.output import report_error, say
 from limbcli.cli.terminal import emit_json
 from limbcli.errors import LimbError
 from limbcli.progress import Progress
 
 if TYPE_CHECKING:
-    from limbcli.stages.batching.outcome import CaseOutcome, StepFailure
+    from limbcli.stages.batching.outcome import CaseOutcome, FailedStage
 
 
 def batch_cases(
@@ -74,7 +73,7 @@ class _Entry:
     """Outcome of one case for the final summary: content of --json, and failures."""
 
     content: dict[str, Any]
-    failures: list[StepFailure]
+    failures: list[FailedStage]
 
     @property
     def code(self) -> int:
@@ -85,7 +84,7 @@ class _Entry:
         return [str(self.content["case"]), *(line for each in self.failures for line in _lines(each))]
 
 
-def _lines(failure: StepFailure) -> list[str]:
+def _lines(failure: FailedStage) -> list[str]:
     """Lines that describe a failure: stage and site, and its error."""
     error = failure.error
     what = f"{failure.place}: {error.what}" if failure.place else error.what

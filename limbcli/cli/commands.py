@@ -38,15 +38,15 @@ class Command:
 
 
 COMMANDS = {
-    "doctor": Command("cli.doctor:check_machine", "limbcli doctor --febio /opt/febio/bin/febio4"),
-    "new": Command("cli.new:new_case", "limbcli new S12 --site p1 --site p2"),
-    "check": Command("cli.check:check_case", "limbcli check S12"),
+    "doctor": Command("cli.command_functions:check_machine", "limbcli doctor --febio /opt/febio/bin/febio4"),
+    "new": Command("cli.command_functions:new_case", "limbcli new S12 --site p1 --site p2"),
+    "check": Command("cli.command_functions:check_case", "limbcli check S12"),
     "measure": Command(
         "api.subjects:measure", "limbcli measure S12 --site p1 --write",
         "Convert the load-cell record, B-mode and elastography images to the rows of levels.csv.",
     ),
     "segment": Command(
-        "cli.segment:segment_case", "limbcli segment S12 --limb left --seed bone=12,40,-60",
+        "cli.command_functions:segment_case", "limbcli segment S12 --limb left --seed bone=12,40,-60",
         like=("api.geometry:segment",),
     ),
     "mesh": Command(
@@ -58,10 +58,11 @@ COMMANDS = {
         "Write the mesh and the measurement as a FEBio model, using templates.",
     ),
     "run": Command(
-        "cli.run:run_case_or_file", "limbcli run S12 --solver reference", like=("api.simulation:run",)
+        "cli.command_functions:run_case_or_file", "limbcli run S12 --solver reference",
+        like=("api.simulation:run",),
     ),
     "fit": Command(
-        "cli.fit:fit_by_objective", "limbcli fit S12 --site p1 --compare-element",
+        "cli.command_functions:fit_by_objective", "limbcli fit S12 --site p1 --compare-element",
         like=("api.fitting:fit", "api.fitting:fit_joint"),
     ),
     "diagnose": Command(
@@ -77,7 +78,7 @@ COMMANDS = {
         "Put the limb into its socket and load it: pressure and shear on the skin, by patch. After `limb`.",
     ),
     "report": Command(
-        "cli.report:report_case_or_index", "limbcli report S12 --out results/S12",
+        "cli.command_functions:report_case_or_index", "limbcli report S12 --out results/S12",
         like=("api.diagnosis:report",),
     ),
     "batch": Command(

@@ -12,9 +12,7 @@ import sys
 import warnings
 from types import FrameType
 
-from limbcli.cli.interrupted import INTERRUPTED, MESSAGE
-from limbcli.cli.results_stream import keep_stdout_for_results
-from limbcli.cli.say import say
+from limbcli.cli.output import INTERRUPTED, MESSAGE, keep_stdout_for_results, say
 
 
 def main() -> None:
@@ -73,13 +71,13 @@ def _is_interrupt(error: BaseException | None) -> bool:
 
 def _caught(error: Exception) -> int:
     """Report an unexpected error; returns the exit code."""
-    from limbcli.cli.named_output import output_folder
+    from limbcli.cli.fixes import output_folder
     from limbcli.errors.unexpected import unforeseen
 
     shown = unforeseen(error, output_folder(sys.argv[1:]))
     say(f"{type(shown).__name__}: {shown}", to_stderr=True)
     if "--json" in sys.argv:
-        from limbcli.cli.error_output import report_json
+        from limbcli.cli.output import report_json
 
         report_json(shown)
     return shown.exit_code

@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator, Mapping, Sequence, Set
 from pathlib import Path
 
+from limbcli.config import default_out
 from limbcli.errors.pasted_commands import AnyError, pasted, typed
 
 Options = Mapping[str, Set[str]]
@@ -66,3 +67,14 @@ def _strangers(fix: str, own: Set[str], options: Options) -> Iterator[str]:
 def owner_of(option: str, options: Options) -> str:
     """The first command that has an option, or ""."""
     return next((name for name, known in options.items() if option in known), "")
+
+
+def output_folder(arguments: Sequence[str]) -> Path | None:
+    """The output folder of a command line, given or default, if it exists.
+
+    >>> output_folder(["mesh", "case", "--out=/tmp"]).as_posix(), output_folder(["mesh", "-o", "/nowhere"])
+    ('/tmp', None)
+    """
+    case = case_of(arguments)
+    found = out_of(arguments) or (default_out(case) if case else None)
+    return found if found is not None and found.is_dir() else None

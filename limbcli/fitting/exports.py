@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -12,7 +11,7 @@ import numpy as np
 from scipy.io import savemat
 
 from limbcli.feb.write import render
-from limbcli.files.plain_text import text_cell
+from limbcli.files.plain_text import write_rows
 from limbcli.model import Array, ElementMap, LimbModel, Material
 from limbcli.results import StageWriter
 from limbcli.site_model.indentation_model import TISSUE
@@ -51,17 +50,15 @@ def parameter_rows(site: str, step: str, parameters: Mapping[str, Mapping[str, A
 
 def write_parameters(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write one row for each parameter; an empty interval bound means that the interval is open there."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        table = csv.DictWriter(stream, PARAMETER_COLUMNS)
-        table.writeheader()
-        for row in rows:
-            table.writerow({name: _cell(row.get(name)) for name in PARAMETER_COLUMNS})
+    write_rows(
+        path, PARAMETER_COLUMNS, ([_cell(row.get(name)) for name in PARAMETER_COLUMNS] for row in rows)
+    )
 
 
 def _cell(value: object) -> object:
     if value is None or (isinstance(value, float) and not np.isfinite(value)):
         return ""
-    return f"{value:.8g}" if isinstance(value, float) else text_cell(value)
+    return f"{value:.8g}" if isinstance(value, float) else value
 
 
 def write_mat_file(writer: StageWriter) -> None:
@@ -126,8 +123,8 @@ def material_snippet(model: LimbModel) -> str:
 
 def write_table(path: Path, columns: Mapping[str, Array | Sequence[object]]) -> None:
     """Write columns of equal length to a CSV file."""
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(columns)
-        for row in zip(*columns.values(), strict=True):
-            rows.writerow([_cell(float(each) if isinstance(each, np.floating) else each) for each in row])
+    rows = zip(*columns.values(), strict=True)
+    write_rows(
+        path, columns,
+        ([_cell(float(each) if isinstance(each, np.floating) else each) for each in row] for row in rows),
+    )  # fmt: skip

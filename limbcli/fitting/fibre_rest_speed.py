@@ -24,10 +24,7 @@ def rest_speed(model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: fl
     For propagation along x and polarisation along z, rho v^2 = c (1/2 + (s/2) (f_x^2 + f_z^2) +
     4 t f_x^2 f_z^2), where f is the fibre direction, s is fibre_shear and t is fibre_tension.
 
-    Raises
-    ------
-    MeasurementError
-        If the window contains no tissue.
+    Raises MeasurementError if the window contains no tissue.
     """
     items = next(each.items for each in model.records if each.kind == "element")
     cells = np.concatenate([block.cells[:, :4] for block in model.mesh.solid_blocks])

@@ -56,13 +56,7 @@ def level_times(model: LimbModel) -> Array:
 
 
 def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
-    """Rows of `values` (n_times, ...) at the level times.
-
-    Raises
-    ------
-    SolveError
-        If a level was not reached.
-    """
+    """Rows of `values` (n_times, ...) at the level times. Raises SolveError if a level was not reached."""
     nearest = np.abs(simulation.times[None, :] - times[:, None]).argmin(axis=1)
     missed = np.abs(simulation.times[nearest] - times) > _SAME_TIME
     if missed.any():
@@ -265,18 +259,13 @@ def _line_slopes(lines: MaterialLines, result: SessionResult, searched: Mapping[
 
 
 class FileCurve:
-    """Forces at the levels from a solver that works on files; every run has its own folder.
-
-    cores : greatest total number of threads of all processes that run in parallel
-    """
+    """Forces at the levels from a solver that works on files; every run has its own folder."""
 
     def __init__(
-        self, solver: Solver, model: LimbModel, *, c: float | ElementMap, time_limit_s: float | None = None,
-        cores: int | None = None,
-    ):  # fmt: skip
+        self, solver: Solver, model: LimbModel, *, c: float | ElementMap, time_limit_s: float | None = None
+    ):
         self._solver, self._model, self._c = solver, model, c
         self._limit = time_limit_s
-        self._cores = available_cores() if cores is None else cores
         self._times = level_times(model)
         self.depths: Array = np.zeros(0)
 
@@ -313,7 +302,7 @@ class FileCurve:
         """Evaluate all thetas, in parallel on the available cores; the first error is raised once all have
         ended."""
         todo = list(thetas)
-        processes, threads = shares(len(todo), self._cores)
+        processes, threads = shares(len(todo), available_cores())
         if isinstance(self._solver, FebioSolver):
             self._solver = replace(self._solver, threads=threads)
         with ThreadPoolExecutor(processes) as pool:

@@ -104,10 +104,7 @@ def depth_deviation(stated: float, seen: Mapping[str, Any]) -> float:
 def shaped(model: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel, float]:
     """The model in its varied shape, and the fraction of the variation that could be applied.
 
-    Raises
-    ------
-    MeshError
-        If not even the smallest fraction can be applied.
+    Raises MeshError if not even the smallest fraction can be applied.
     """
     if variation.kind == "second bone":
         return model.with_mesh(with_second_bone(model.mesh, rod)), 1.0
@@ -122,10 +119,7 @@ def shaped(model: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel,
 def varied_mesh(mesh: Mesh, rod: Rod, variation: Variation, part: float = 1.0) -> Mesh:
     """A site's mesh morphed to another shape; first touch stays at the origin.
 
-    Raises
-    ------
-    MeshError
-        If a cell would lose nearly all of its volume.
+    Raises MeshError if a cell would lose nearly all of its volume.
     """
     value, touched = variation.part(part), np.zeros(3)
     moves = {
@@ -166,10 +160,7 @@ def with_second_bone(mesh: Mesh, rod: Rod) -> Mesh:
     If the tissue does not extend far enough, the rod lies half-way. It is placed on the side where it
     contains more nodes of the tissue.
 
-    Raises
-    ------
-    MeshError
-        If there is no room for the rod in the tissue, or the mesh is too coarse to resolve it.
+    Raises MeshError if there is no room for the rod in the tissue, or the mesh is too coarse to resolve it.
     """
     radius, side = SECOND_RADIUS * rod.radius, np.cross(rod.axis, rod.towards)
     tissue = np.unique(np.concatenate([block.cells.ravel() for block in mesh.solid_blocks]))

@@ -2,19 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from limbcli.drawing import save_figure
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.profile import Profile
 from limbcli.inference.site_depth import SiteMeasurement, SitePrediction
 from limbcli.measurement.levels import LAYERS
+from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa
-from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
-from limbcli.reporting.figures.style import BLUE, GREEN, INK, VERMILION, new_figure, style
+from limbcli.reporting.figures.style import (
+    BLUE,
+    GREEN,
+    INK,
+    QUIET,
+    VERMILION,
+    legend_below,
+    log_if_wide,
+    new_figure,
+    style,
+)  # fmt: skip
 from limbcli.results import StageWriter
+
+_ROOMY = 3  # largest number of panels wide enough for labels at 1, 2 and 5
+_SYMBOLS = {"f_kappa": r"$f_\kappa$"}
 
 
 def draw_joint(
@@ -55,7 +70,7 @@ def draw_joint(
                 each.set_label(f"{of} {data.name}, layers")
                 _layers(each, data, seen)
         save_figure(figure, writer.file("picture", file))
-    _draw_profiles(found, writer)
+    draw_profiles(found, found.best, writer)
 
 
 def _layers(axes: Axes, data: SiteMeasurement, seen: SitePrediction) -> None:
@@ -81,23 +96,36 @@ def _nothing(axes: Axes, words: str) -> None:
     axes.text(0.5, 0.5, words, ha="center", transform=axes.transAxes)
 
 
-def _draw_profiles(found: Intervals, writer: StageWriter) -> None:
-    profiles = []
-    for k, (name, each) in enumerate(found.profiles.items()):
-        unit = kpa_from_mpa(1.0) if name == "c" else 1.0
-        values = unit * each.values
-        profiles.append(
-            ProfileCurve(
-                _short(name),
-                values,
-                each.deviance,
-                unit * float(found.best[k]),
-                "kPa" if name == "c" else "–",
-                found.threshold,
-                (unit * each.low, unit * each.high),
+def draw_profiles(found: Intervals, estimates: Array, writer: StageWriter) -> None:
+    """Draw profiles.png. estimates : the fit's values (at least n_profiles,), in the order of the profiles"""
+    figure = profile_figure(found.profiles, estimates, found.threshold)
+    save_figure(figure, writer.file("profiles", "profiles.png"))
+
+
+def profile_figure(profiles: Mapping[str, Profile], estimates: Array, limit: float) -> Figure:
+    """How far each parameter can move before the data exclude it: one panel per parameter, where a valley
+    shows a determined parameter, a plain an undetermined one.
+
+    limit : increase of the deviance at the ends of the 95 % intervals
+    """
+    with style():
+        figure = new_figure(max(7.4, 1.85 * len(profiles)), 3.3)
+        panels = figure.subplots(1, max(len(profiles), 1), sharey=True, squeeze=False)[0]
+        for axes, (name, each), estimate in zip(panels, profiles.items(), estimates, strict=False):
+            scale, unit = (kpa_from_mpa(1.0), "kPa") if name == "c" else (1.0, "–")
+            values = scale * each.values
+            axes.plot(values, each.deviance, color=BLUE, zorder=3)
+            axes.axvspan(
+                scale * each.low, scale * each.high, color=QUIET, alpha=0.2, lw=0, label="95 % interval"
             )
-        )
-    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
+            axes.axhline(limit, color=VERMILION, lw=1.0, ls="--", label="95 % limit")
+            axes.axvline(scale * float(estimate), color=INK, lw=1.0, ls=":", label="the fit")
+            log_if_wide(axes, "x", values, few=len(profiles) > _ROOMY)
+            symbol = _SYMBOLS.get(name, _short(name))
+            axes.set(xlabel=f"{symbol} [{unit}]", title=symbol, ylim=(-0.3, 2 * limit))
+        panels[0].set_ylabel("increase in deviance, −2 Δ ln L [–]")
+        legend_below(figure, panels[0])
+    return figure
 
 
 def _short(name: str) -> str:

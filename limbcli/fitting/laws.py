@@ -166,13 +166,7 @@ def first_shapes(law: FitLaw) -> list[Array]:
 
 
 def law_named(name: str) -> FitLaw:
-    """The law of this name.
-
-    Raises
-    ------
-    CaseError
-        If there is no such law.
-    """
+    """The law of this name. Raises CaseError if there is no such law."""
     if name not in LAWS:
         raise CaseError(
             f"there is no law {name!r}",

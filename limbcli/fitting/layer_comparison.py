@@ -6,9 +6,11 @@ way; if the measured layers moved differently, the tissue is not homogeneous.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from matplotlib.figure import Figure
 from scipy.special import chdtrc
 
 from limbcli.case import Site
@@ -18,7 +20,7 @@ from limbcli.fitting.exports import write_table
 from limbcli.fitting.predicted_speeds import AT_REST, simulated_rows
 from limbcli.measurement.levels import Levels
 from limbcli.model import Array, IntArray, LimbModel
-from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
+from limbcli.reporting.figures.style import INK, MARKERS, QUIET, new_figure, style
 from limbcli.results import StageWriter
 from limbcli.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.solvers.material_lines import displacements
@@ -57,10 +59,10 @@ def write_layers(
         columns[f"{name}_measured_mm"] = [float(each) if np.isfinite(each) else "" for each in read]
         columns[f"{name}_predicted_mm"] = found.thickness[:, j]
     write_table(writer.file("layers", "layers.csv"), columns)  # type: ignore[arg-type]
-    picture = LayerPicture(
+    picture = layers_figure(
         levels.force[k], layers.names, layers.thickness[k], found.thickness, layers.deviation
     )
-    save_figure(layers_figure(picture), writer.file("layers_picture", "layers.png"))
+    save_figure(picture, writer.file("layers_picture", "layers.png"))
     _report(layers, found, levels, writer)
 
 
@@ -69,10 +71,7 @@ def predict_layers(
 ) -> PredictedLayers:
     """The simulated layer thicknesses at every loading level.
 
-    Raises
-    ------
-    MeasurementError
-        If a border lies outside the model's tissue, or no displacements were recorded.
+    Raises MeasurementError if a border lies outside the model's tissue, or no displacements were recorded.
     """
     numbers, rows = simulated_rows(levels, simulation.probe_depth())
     lines = layers.lines(model)
@@ -118,3 +117,57 @@ def _report(layers: LayerReadings, found: PredictedLayers, levels: Levels, write
             f"the tissue slides up to {found.drift:.1f} mm off the beam: the prediction follows the layers' "
             "own material, but the image shows the material now below the probe"
         )
+
+
+_HALF_BAND = 0.5  # half width (N) of the bands of a single level
+_BANDS = {"skin": "#e8b7a0", "fat": "#f3dfa2", "muscle": "#b8656a"}
+
+
+def layers_figure(
+    force: Array, names: Sequence[str], measured: Array, predicted: Array, deviation: float
+) -> Figure:
+    """Left: depth of each border below the probe; right: measured minus predicted thickness.
+
+    force : (n_levels,) N
+    names : of the layers, from the skin inwards
+    measured, predicted : (n_levels, n_layers) mm; measured is NaN where not read
+    deviation : standard deviation of a thickness (mm)
+    """
+    with style():
+        figure = new_figure(7.6, 4.3)
+        left, right = figure.subplots(1, 2, width_ratios=(3, 2))
+        order = np.argsort(force, kind="stable")
+        force, measured, predicted = force[order], measured[order], predicted[order]
+        wide = force if len(force) > 1 else force + np.array([-_HALF_BAND, _HALF_BAND])
+        below = np.cumsum(predicted, axis=1)
+        seen = np.cumsum(measured, axis=1)
+        top = np.zeros(len(force))
+        for j, name in enumerate(names):
+            colour = _BANDS.get(name, QUIET)
+            upper, lower = (np.broadcast_to(each, wide.shape) for each in (top, below[:, j]))
+            left.fill_between(wide, upper, lower, color=colour, lw=0, label=f"{name}, predicted")
+            top = below[:, j]
+            left.errorbar(
+                force, seen[:, j], yerr=deviation * np.sqrt(j + 1.0), fmt="o", ms=4, capsize=2,
+                color=INK, label="borders, measured (±1 SD)" if j == 0 else None,
+            )  # fmt: skip
+            gap = measured[:, j] - predicted[:, j]
+            right.plot(
+                force,
+                gap,
+                f"{MARKERS[j]}-",
+                ms=5,
+                color=colour,
+                mec=INK,
+                label=name if np.isfinite(gap).any() else None,
+            )
+        left.invert_yaxis()
+        left.grid(False)
+        left.set(xlabel="probe force [N]", ylabel="below the probe [mm]", title="layers, level by level")
+        spread = np.sqrt(2.0) * deviation
+        right.axhspan(-spread, spread, color=QUIET, alpha=0.18, lw=0, label="±1 SD of two readings")
+        right.axhline(0.0, color=QUIET, lw=0.8)
+        right.set(xlabel="probe force [N]", ylabel="measured − predicted [mm]", title="thickness")
+        for axes in (left, right):
+            axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.17), ncols=2, fontsize=8)
+    return figure

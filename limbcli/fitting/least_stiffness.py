@@ -9,8 +9,14 @@ from typing import Any
 import numpy as np
 
 from limbcli.fitting.fitted_states import FittedStates
-from limbcli.inference.curve_minimum import LowestPoint, lowest_of_points, lowest_on_grid
-from limbcli.inference.derived import DerivedInterval, SearchRange, derived_interval
+from limbcli.inference.derived import (
+    DerivedInterval,
+    LowestPoint,
+    SearchRange,
+    derived_interval,
+    lowest_of_points,
+    lowest_on_grid,
+)
 from limbcli.inference.states_fit import StatesProblem
 from limbcli.model import Array
 

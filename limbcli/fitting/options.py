@@ -21,7 +21,8 @@ _OF_FORCE = ("tolerance", "max_iterations", "intervals", "templates", "time_limi
 _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
     "joint": _OF_FORCE,
     "states": (
-        "c_kpa", "c_deviation", "contact_check", "boundary_check", "cycle", "stiffness_map", *_OF_FORCE,
+        "c_kpa", "c_deviation", "contact_check", "boundary_check", "cycle", "stiffness_map", "compare_laws",
+        *_OF_FORCE,
     ),
     COMPARISON: (
         "c_deviation", "intervals", "gain_deviation", "contact_check", "boundary_check", "templates",
@@ -32,7 +33,7 @@ _SAYS_NOTHING: Mapping[str, Sequence[str]] = {
 
 @dataclass(frozen=True)
 class FitOptions:
-    """Options of the fit.
+    """Options of all kinds of fit.
 
     c_kpa : c given by hand (None: from the shear-wave speed at level 0), with its relative
         standard deviation `c_deviation` (None: that of the shear-wave reading)
@@ -44,6 +45,10 @@ class FitOptions:
     contact_check : solve the fitted model again with a stiffer contact and report the change
     boundary_check : the same with the cut plane free, and with the far side of the limb held; the intervals
         allow for both
+    law : of the fits `joint` and `states`, one of `fitting.laws.LAWS`
+    compare_laws : in the joint fit, fit all laws and compare them by held-out error
+    max_interval_solves : greatest number of simulations (of rounds of them for `states`) added for the
+        intervals; None: as many as are usual for the fit
     """
 
     c_kpa: float | None = None
@@ -51,7 +56,6 @@ class FitOptions:
     stiffness_map: bool = False
     tolerance: float = 1e-3
     max_iterations: int = 50
-    max_interval_solves: int = 12
     intervals: bool = True
     gain_deviation: float | None = None
     contact_check: bool = True
@@ -59,6 +63,9 @@ class FitOptions:
     cycle: str = LAST
     templates: Path | None = None
     time_limit_s: float | None = None
+    law: str = "ogden"
+    compare_laws: bool = False
+    max_interval_solves: int | None = None
 
     def requested(self, kind: str = "force") -> dict[str, Any]:
         """The options needed to repeat a run of this kind (an objective or `COMPARISON`).
@@ -69,21 +76,16 @@ class FitOptions:
         unheard = _SAYS_NOTHING.get(kind, ())
         return {key: value for key, value in requested_by_options(self).items() if key not in unheard}
 
+    def most_solves(self, usual: int) -> int:
+        """`max_interval_solves`, or the usual number."""
+        return usual if self.max_interval_solves is None else self.max_interval_solves
+
 
 def check_choice(
-    objective: str,
-    *,
-    compare_element: bool,
-    solver: str,
-    stiffness_map: bool = False,
-    joint_only: Sequence[str] = (),
-    options: FitOptions | None = None,
+    objective: str, options: FitOptions, *, compare_element: bool = False, solver: str = "auto",
     febio: Path | None = None,
-) -> None:
+) -> None:  # fmt: skip
     """Check that these options are compatible.
-
-    joint_only : given options that apply only to the joint fit (or that of states)
-    options : the other options; one that has no effect on the requested fit is an error
 
     Raises
     ------
@@ -94,58 +96,46 @@ def check_choice(
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
         raise CaseError(f"there is no objective {objective!r}", where="--objective", fix=fix)
-    joint = objective != "force"
-    if joint and compare_element:
-        raise CaseError(
-            "two conflicting options are given",
-            where=f"--objective {objective}, --compare-element",
-            fix="give one at a time",
-        )
-    if joint_only and not joint:
-        raise CaseError(
-            f"{joint_only[0]} has no effect on the fit of the force alone",
-            where=joint_only[0],
-            fix="add --objective joint (or states), or omit it",
-        )
-    if solver == "febio" and (joint or compare_element):
-        raise CaseError(
-            "this requires derivatives that FEBio does not provide",
-            where="--solver febio",
-            fix="omit --solver: the reference solver supports it",
-        )
-    if febio is not None and (joint or compare_element):
-        raise CaseError(
-            "this requires derivatives that FEBio does not provide",
-            where="--febio",
-            fix="omit --febio: the reference solver supports it",
-        )
-    if stiffness_map and (joint or compare_element):
-        raise CaseError(
-            "a stiffness map is supported only by the fit of the force alone",
-            where="--stiffness-map",
-            fix=f"omit --objective {objective} and --compare-element, or the map",
-        )
-    if objective == "states" and "--compare-laws" in joint_only:
-        raise CaseError(
-            "laws are compared by the joint fit only",
-            where="--compare-laws, --objective states",
-            fix="give one law (--law), or use --objective joint",
-        )
-    choice = COMPARISON if compare_element else f"--objective {objective}"
+    joint, choice = objective != "force", COMPARISON if compare_element else f"--objective {objective}"
+    asked = requested_by_options(options)
+    of_joint = next((in_words({key: True}) for key in ("law", "compare_laws") if key in asked), "")
+    of_febio = "--solver" if solver == "febio" else "--febio" if febio is not None else ""
     unheard = _SAYS_NOTHING.get(COMPARISON if compare_element else objective, ())
-    given = {key: value for key, value in (options.requested() if options else {}).items() if key in unheard}
-    if given:
-        raise CaseError(
-            f"{in_words(given)} has no effect on {choice}",
-            where=choice,
-            fix="omit it, or fit the force alone (--objective force)",
-        )
+    given = {key: value for key, value in asked.items() if key in unheard}
+    for is_wrong, what, where, fix in (
+        (
+            joint and compare_element, "two conflicting options are given",
+            f"--objective {objective}, {COMPARISON}", "give one at a time",
+        ),
+        (
+            of_joint and not joint, f"{of_joint} has no effect on the fit of the force alone", of_joint,
+            "add --objective joint (or states), or omit it",
+        ),
+        (
+            of_febio and (joint or compare_element), "this requires derivatives that FEBio does not provide",
+            "--solver febio" if solver == "febio" else of_febio,
+            f"omit {of_febio}: the reference solver supports it",
+        ),
+        (
+            options.stiffness_map and (joint or compare_element),
+            "a stiffness map is supported only by the fit of the force alone", "--stiffness-map",
+            f"omit --objective {objective} and {COMPARISON}, or the map",
+        ),
+        (
+            objective == "states" and options.compare_laws, "laws are compared by the joint fit only",
+            "--compare-laws, --objective states", "give one law (--law), or use --objective joint",
+        ),
+        (
+            given, f"{in_words(given)} has no effect on {choice}", choice,
+            "omit it, or fit the force alone (--objective force)",
+        ),
+    ):  # fmt: skip
+        if is_wrong:
+            raise CaseError(what, where=where, fix=fix)
 
 
-def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -> None:
+def check_numbers(options: FitOptions) -> None:
     """Check the range of numbers given by hand.
-
-    gain_deviation : that of another fit's own options, which replaces the one in `options`
 
     Raises
     ------
@@ -155,13 +145,12 @@ def check_numbers(options: FitOptions, *, gain_deviation: float | None = None) -
     if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
         fix = "give the number of a cycle (1, 2, ...) or last"
         raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)
-    gain_deviation = options.gain_deviation if gain_deviation is None else gain_deviation
     rules = (
         ("--c-kpa", options.c_kpa, *C_KPA, "c = 2 mu in kPa; soft tissue has 2 to 50"),
         ("--c-deviation-fraction", options.c_deviation, 0.0, 2.0, "a share of c, e.g. 0.1"),
         ("--tolerance", options.tolerance, 1e-9, 0.1, "relative, e.g. 1e-3"),
         ("--time-limit-s", options.time_limit_s, 1e-3, 1e9, "seconds"),
-        ("--gain-deviation-fraction", gain_deviation, 0.0, 2.0, "a share of the force, e.g. 0.03"),
+        ("--gain-deviation-fraction", options.gain_deviation, 0.0, 2.0, "a share of the force, e.g. 0.03"),
     )
     for name, value, low, high, meaning in rules:
         if value is not None and not low <= value <= high:

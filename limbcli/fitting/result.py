@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,9 @@ import numpy as np
 
 from limbcli.case import Site
 from limbcli.drawing import save_figure
+from limbcli.files.plain_text import write_rows
 from limbcli.fitting.exports import parameter_rows, write_exports
+from limbcli.fitting.joint_picture import draw_profiles
 from limbcli.fitting.laws import LOCKING
 from limbcli.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
 from limbcli.inference.adaptive import Intervals
@@ -119,17 +120,15 @@ def write_curves(found: Identified, path: Path) -> None:
     forces = [f"{each:.6g}" for each in found.data.force] + [""] * len(between)
     thetas = [found.start, *(step.theta for step in found.steps)]
     curves = [found.simulated(theta, np.maximum(depths, 0.0)) for theta in thetas]
-    with path.open("w", newline="", encoding="utf-8") as stream:
-        rows = csv.writer(stream)
-        rows.writerow(["depth_mm", "measured_n", "start_n", f"{MOONEY_RIVLIN}_n", f"{OGDEN}_n"])
-        for k in np.argsort(depths, kind="stable"):
-            rows.writerow([f"{depths[k]:.6g}", forces[k], *(f"{each[k]:.6g}" for each in curves)])
+    write_rows(
+        path, ("depth_mm", "measured_n", "start_n", f"{MOONEY_RIVLIN}_n", f"{OGDEN}_n"),
+        ([f"{depths[k]:.6g}", forces[k], *(f"{each[k]:.6g}" for each in curves)]
+         for k in np.argsort(depths, kind="stable")),
+    )  # fmt: skip
 
 
 def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
     """Draw fit.png (measured levels, curves, residuals) and, if profiles were computed, profiles.png."""
-    from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
-
     depths = np.linspace(0.0, found.knots[-1], _FINE)
     labels = ("start (f_κ = 100, m = 2)", "Mooney-Rivlin type (m = 2)", "Ogden type")
     thetas = [found.start, *(step.theta for step in found.steps)]
@@ -143,22 +142,8 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
         counted=(found.data.depth[loaded], counted_deviation(found, last)),
     )  # fmt: skip
     save_figure(force_depth(measured, curves), writer.file("picture", "fit.png"))
-    if not found.intervals:
-        return
-    profiles = [
-        ProfileCurve(
-            name,
-            each.values,
-            each.deviance,
-            float(value),
-            limit=found.intervals[-1].threshold,
-            interval=(each.low, each.high),
-        )
-        for (name, each), value in zip(
-            found.intervals[-1].profiles.items(), found.steps[-1].theta, strict=True
-        )
-    ]
-    save_figure(profile_figure(profiles), writer.file("profiles", "profiles.png"))
+    if found.intervals:
+        draw_profiles(found.intervals[-1], found.steps[-1].theta, writer)
 
 
 def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:

@@ -57,10 +57,7 @@ class CheckSolver:
     def forces(self, model: LimbModel, check: str) -> Array:
         """Forces (n_reached,) N at levels of a model that was changed for this check.
 
-        Raises
-        ------
-        SolveError
-            If the model cannot be solved.
+        Raises SolveError if the model cannot be solved.
         """
         if self.rows is not None and len(model.steps) == 1:
             (step,) = model.steps

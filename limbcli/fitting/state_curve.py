@@ -9,11 +9,11 @@ import numpy as np
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import SolveError
+from limbcli.fitting.fibre_uncertainty import mean_fibre
 from limbcli.fitting.laws import FitLaw
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import Prediction
-from limbcli.meshing.fibres_from_angles import mean_axis
-from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.model import Array, LimbModel, Material
 from limbcli.numbers.units import mpa_from_pa
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves import ogden
@@ -233,7 +233,5 @@ def _moved(shape: Array, k: int, step: float) -> Array:
 
 
 def _one_direction(model: LimbModel) -> tuple[float, float, float]:
-    direction = fibre_direction(model)
-    axes = direction.values if isinstance(direction, ElementMap) else np.array([direction], dtype=float)
-    x, y, z = mean_axis(axes)[0]
+    x, y, z = mean_fibre(model)
     return float(x), float(y), float(z)

@@ -84,11 +84,7 @@ def plan_of(
     given : by way, the stretch of every state, None if unknown; ways that are left out are not stretched
     known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
 
-
-    Raises
-    ------
-    CaseError
-        If the states do not differ, or give stretches too far apart to be searched.
+    Raises CaseError if the states do not differ, or give stretches too far apart to be searched.
     """
     ways: list[str] = []
     columns: list[Array] = []

@@ -6,6 +6,9 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from matplotlib.collections import LineCollection
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
 from scipy.spatial import cKDTree
 
 from limbcli.case import Site
@@ -16,9 +19,10 @@ from limbcli.inference.interval import Stiffness
 from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.stiffness_map import FADE, SMOOTHING, stiffness_at
-from limbcli.model import Array, Block, ElementMap, LimbModel
+from limbcli.model import Array, Block, ElementMap, LimbModel, Mesh
 from limbcli.numbers.units import kpa_from_mpa
-from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
+from limbcli.reporting.figures.section import cut_tetrahedra, linear_tetrahedra, outline
+from limbcli.reporting.figures.style import INK, bare, facets, new_figure, style
 from limbcli.results import StageWriter
 from limbcli.site_model.indentation_model import PROBE, TISSUE
 
@@ -76,8 +80,8 @@ def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
     found = stiffness_at(swe, middles, density_kg_per_m3=site.density_kg_per_m3)
     if not found.inside.any():
         raise MeasurementError(
-            f"the shear-wave map of level 0 lies outside the model: lateral {_range(swe.lateral)}, "
-            f"depth {_range(swe.depth)} hold none of its {len(middles)} elements",
+            f"the shear-wave map of level 0 lies outside the model: lateral {_ends_words(swe.lateral)}, "
+            f"depth {_ends_words(swe.depth)} hold none of its {len(middles)} elements",
             where=str(swe.path),
             fix="lateral_mm is 0 under the probe's centre, depth_mm is 0 at its face and grows downwards",
         )
@@ -120,7 +124,7 @@ def _tissue_block(model: LimbModel) -> Block:
     return model.mesh.block(names[0])
 
 
-def _range(values: Array) -> str:
+def _ends_words(values: Array) -> str:
     return f"{values.min():g} to {values.max():g} mm"
 
 
@@ -152,13 +156,8 @@ def write_tissue_map(
         f"stiffness map: {found.n_inside} of {len(values)} elements within the image ({found.words})"
     )
     writer.warnings.extend(_warnings(found, levels))
-    block, own = model.mesh.block(found.c.block), model.mesh.surfaces
-    section = StiffnessSection(
-        points=model.mesh.points, kind=block.kind, cells=block.cells, c_kpa=values,
-        lateral=found.swe.lateral, depth=found.swe.depth,
-        surfaces={name: dict(own[name].facets) for name in ("skin", "bone") if name in own},
-    )  # fmt: skip
-    save_figure(stiffness_figure(section), writer.file("stiffness_map", "stiffness-map.png"))
+    picture = stiffness_figure(model.mesh, found.c, found.swe)
+    save_figure(picture, writer.file("stiffness_map", "stiffness-map.png"))
 
 
 def _warnings(found: TissueMap, levels: Levels) -> list[str]:
@@ -177,3 +176,46 @@ def _warnings(found: TissueMap, levels: Levels) -> list[str]:
     return warnings + [
         f"{map_file(Path(), int(levels.rows[0])).name}: {each.what} ({each.fix})" for each in odd
     ]
+
+
+_COLOURS = {"skin": INK, "bone": "#7a4b12"}
+
+
+def stiffness_figure(mesh: Mesh, c: ElementMap, swe: SweMap) -> Figure:
+    """x-z section at y = 0, before loading: c element by element, and the position of the image."""
+    block, c_kpa = mesh.block(c.block), kpa_from_mpa(c.values)
+    tetrahedra, parent = linear_tetrahedra(block.kind, block.cells)
+    cut = cut_tetrahedra(mesh.points, tetrahedra)
+    corners = cut.at(mesh.points)[:, [0, 2]]
+    with style():
+        span = np.ptp(corners, axis=0)
+        figure = new_figure(6.4, min(max(5.2 * span[1] / span[0], 2.0), 6.0) + 1.6)
+        axes = figure.add_subplot()
+        values, scale = c_kpa[parent[cut.cells]], _range(c_kpa)
+        drawn = facets(axes, corners[cut.triangles], array=values, cmap="viridis", norm=scale)
+        for name in (each for each in _COLOURS if each in mesh.surfaces):
+            lines = list(outline(mesh.points, mesh.surfaces[name].facets, mesh.points))
+            axes.add_collection(LineCollection(lines, colors=_COLOURS[name], lw=1.3, label=name))
+        (left, right), (top, bottom) = _ends(swe.lateral), _ends(-swe.depth)
+        axes.plot(
+            [left, right, right, left, left], [top, top, bottom, bottom, top],
+            "--", color="#d0342c", lw=1.4, label="the shear-wave image",
+        )  # fmt: skip
+        axes.autoscale_view()
+        bare(axes)
+        axes.set(xlabel="x, along the probe's long side [mm]", ylabel="z, outward along the skin normal [mm]")
+        axes.set_title("c = 2ρv² at level 0, element by element")
+        figure.colorbar(drawn, ax=axes, label="c [kPa]", shrink=0.9)
+        figure.legend(loc="outside lower center", ncols=3)
+    return figure
+
+
+def _range(values: Array) -> Normalize:
+    """Limits of the colour scale; a uniform map is placed in its middle."""
+    low, high = float(values.min()), float(values.max())
+    margin = 0.0 if high - low > 1e-3 * high else 0.05 * high
+    return Normalize(low - margin, high + margin)
+
+
+def _ends(values: Array) -> tuple[float, float]:
+    return float(values.min()), float(values.max())

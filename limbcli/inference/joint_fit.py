@@ -25,6 +25,7 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 C_SPAN = 10.0  # factor from the start value of c to either of its bounds
+_FOLDS = 3
 _LEAST = 1e-4  # lower limit of the standard deviation of the prior on ln c
 
 
@@ -117,16 +118,16 @@ def joint_fit(
     return problem, adaptive_profiles(problem, max_solves=max_solves, progress=progress)
 
 
-def held_out_error(problem: JointProblem, found: Intervals, *, n_folds: int = 3) -> tuple[float, float]:
-    """Cross-validated root mean square errors of depth (mm) and of ln speed; every n-th level is left out in
+def held_out_error(problem: JointProblem, found: Intervals) -> tuple[float, float]:
+    """Cross-validated root mean square errors of depth (mm) and of ln speed; every third level is left out in
     turn.
 
     The remaining levels are fitted again each time (on the surrogates), so a law with more parameters has no
     advantage. NaN where there are no speeds.
     """
     depth_errors, speed_errors = [], []
-    for fold in range(n_folds):
-        left = [np.arange(len(each.force)) % n_folds == fold for each in problem.task.data]
+    for fold in range(_FOLDS):
+        left = [np.arange(len(each.force)) % _FOLDS == fold for each in problem.task.data]
         kept = [each.without(out) for each, out in zip(problem.task.data, left, strict=True)]
         task = replace(problem.task, data=kept)
         part = JointProblem(task, [found.best[: 1 + problem.n_shape]])

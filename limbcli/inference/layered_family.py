@@ -13,7 +13,6 @@ from __future__ import annotations
 import functools
 import itertools
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -129,19 +128,13 @@ def is_inside(x: Array) -> NDArray[np.bool_]:
 
 
 @functools.cache
-def layered_family(path: Path = FILE) -> LayeredFamily:
-    """Build the emulator from its file of solves.
-
-    Raises
-    ------
-    ToolError
-        If the file is missing or damaged.
-    """
-    solved = read_solved(path, _MESH)
+def layered_family() -> LayeredFamily:
+    """Build the emulator from its file of solves. Raises ToolError if the file is missing or damaged."""
+    solved = read_solved(FILE, _MESH)
     if len(set(solved.member.tolist())) < _FOLDS:
         raise ToolError(
             "the cohort's emulator has too few simulations",
-            where=str(path),
+            where=str(FILE),
             fix="install limbcli again: pip install --force-reinstall limbcli",
         )
     powers = _powers(max(_DEGREES))
@@ -153,7 +146,7 @@ def layered_family(path: Path = FILE) -> LayeredFamily:
         fitted = np.zeros_like(coefficients)
         fitted[low] = _fitted(solved, powers[low])
         coefficients[:, better], error[better] = fitted[:, better], missed[better]
-    fine = read_solved(path, _FINE)
+    fine = read_solved(FILE, _FINE)
     n_fine = len(set(fine.member.tolist()))
     if n_fine >= _FEWEST_FINE:
         coefficients = coefficients + _correction(fine, powers, coefficients)

@@ -15,8 +15,7 @@ from limbcli.inference.emulator import Emulator
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
-from limbcli.inference.residual import force_residual
-from limbcli.inference.statistics import coefficient_of_determination, root_mean_square
+from limbcli.inference.residual import coefficient_of_determination, force_residual, root_mean_square
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -89,7 +88,6 @@ def two_step(
     *,
     tolerance: float = 1e-3,
     max_iterations: int = 50,
-    guided: bool = True,
     progress: Progress = SILENT,
 ) -> tuple[FittedStep, FittedStep]:
     """Identify (f_kappa, m) from a force-depth curve, with c held fixed.
@@ -98,8 +96,8 @@ def two_step(
     by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over both from that result
     (Ogden type), each parameter normalised by its start value.
 
-    guided : each iteration first tries the minimum on a surrogate of the solved points, which saves
-        simulations; the end point must pass the same tests either way
+    Each iteration first tries the minimum on a surrogate of the solved points, which saves simulations; the
+    end point must pass the same tests as without.
 
     Raises
     ------
@@ -117,19 +115,17 @@ def two_step(
         "tolerance": tolerance, "max_iterations": max_iterations, "progress": progress,
     }  # fmt: skip
     start = np.array([START_F_KAPPA, M_MOONEY_RIVLIN])
-    first = _step(MOONEY_RIVLIN, (F_KAPPA,), start, match, guided, **search)
-    return first, _step(OGDEN, (F_KAPPA, M), first.theta, match, guided, **search)
+    first = _step(MOONEY_RIVLIN, (F_KAPPA,), start, match, **search)
+    return first, _step(OGDEN, (F_KAPPA, M), first.theta, match, **search)
 
 
-def _step(
-    name: str, free: tuple[int, ...], start: Array, match: CurveMatch, guided: bool, **search: Any
-) -> FittedStep:
+def _step(name: str, free: tuple[int, ...], start: Array, match: CurveMatch, **search: Any) -> FittedStep:
     """One step; `search` : options of `least_squares_fit`."""
     curve, data = match.curve, match.data
     parameters = [search_parameters(*start)[k] for k in free]
     predict = sampled(curve, match.knots, data.depth, free=free, fixed=start)
     before, clock = curve.n_solves, time.perf_counter()
-    guide = _guide(parameters, free, start, match) if guided else None
+    guide = _guide(parameters, free, start, match)
     fit = least_squares_fit(force_residual(predict, data.force), parameters, guide=guide, **search)
     theta = start.copy()
     theta[list(free)] = fit.theta

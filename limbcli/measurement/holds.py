@@ -8,6 +8,7 @@ correlation of adjacent samples (batch means), and with the drift that persists 
 from __future__ import annotations
 
 from collections import deque
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,10 +70,7 @@ def find_holds(trace: Trace, *, tolerance: float = 0.1, duration_s: float = 5.0)
     tolerance : N, half the width of the band in which the smoothed force must stay
     duration_s : smallest duration of a hold
 
-    Raises
-    ------
-    MeasurementError
-        If there is none, stating the longest interval found.
+    Raises MeasurementError if there is none, stating the longest interval found.
     """
     good = np.isfinite(trace.force)
     if good.sum() < _FEWEST_SAMPLES:
@@ -293,3 +291,46 @@ def missing_levels(holds: list[Hold], *, step: float = 2.0) -> list[float]:
         return []
     found = {round(each.force / step) for each in holds}
     return [k * step for k in range(min(found), max(found)) if k not in found]
+
+
+def cycles_of_holds(forces: Sequence[float], *, turn: float) -> tuple[list[int], list[str]]:
+    """The cycle (from 1) and the phase ("load", "unload") of every hold.
+
+    The force has turned when it has reversed by `turn` from its last extreme. A peak belongs to the loading
+    before it; a trough to the loading after it, as its level 0, unless it is the last hold of the record.
+
+    forces : (n_holds,) N, in order of time; turn : N
+
+    >>> cycles_of_holds([0, 2, 4, 2, 0, 2, 4], turn=1.0)
+    ([1, 1, 1, 1, 2, 2, 2], ['load', 'load', 'load', 'unload', 'load', 'load', 'load'])
+    >>> cycles_of_holds([0, 2, 4, 3.7, 6], turn=1.0)
+    ([1, 1, 1, 1, 1], ['load', 'load', 'load', 'load', 'load'])
+    """
+    turns = _turning_points(forces, turn)
+    cycle, phase = np.ones(len(forces), dtype=int), np.full(len(forces), "load", dtype=object)
+    for k, start in enumerate(turns):
+        rising = k % 2 == 1  # the first turn is a peak
+        if rising:
+            cycle[start:] += 1
+            phase[start:] = "load"
+        else:
+            phase[start + 1 :] = "unload"
+    return [int(each) for each in cycle], [str(each) for each in phase]
+
+
+def _turning_points(forces: Sequence[float], turn: float) -> list[int]:
+    """Holds at which the force turns: peaks and troughs alternately, a peak first.
+
+    >>> _turning_points([0, 2, 4, 2, 0, 2, 4], 1.0)
+    [2, 4]
+    """
+    found: list[int] = []
+    extreme, rising = 0, True
+    for k, force in enumerate(forces):
+        ahead = force - forces[extreme] if rising else forces[extreme] - force
+        if ahead >= 0:
+            extreme = k
+        elif -ahead >= turn:
+            found.append(extreme)
+            extreme, rising = k, not rising
+    return found

@@ -172,10 +172,7 @@ def _values(
 def _time_of_force(sheet: Sheet, positions: Mapping[str, int], path: Path) -> int:
     """The X_Value column of the force, of several that precede each a channel.
 
-    Raises
-    ------
-    MeasurementError
-        If another column that is read was sampled at different times.
+    Raises MeasurementError if another column that is read was sampled at different times.
     """
     times = {name: _time_before(sheet.header, k) for name, k in positions.items() if name != "time_s"}
     own = times["force_n"]

@@ -64,8 +64,6 @@ class Memory:
         self._path = out / (f"{MEMORY_OF_SITE}{site}.json" if site else MEMORY)
         self._out, self._subject = out, subject
         self._done = _remembered(self._path, subject)
-        if site and not self._path.exists():  # an earlier version stored sites in the case's file
-            self._done = _of_site(_remembered(out / MEMORY, subject), site)
         self._done.setdefault(_ASKED, {})
         self._done[_SUBJECT] = subject
 
@@ -123,12 +121,6 @@ def _remembered(path: Path, subject: str) -> dict[str, Any]:
     requested = {name: each for name, each in found.get(_ASKED, {}).items() if isinstance(each, dict)}
     done = {name: each for name, each in found.items() if isinstance(each, list) and len(each) == 2}
     return {**done, _ASKED: requested}
-
-
-def _of_site(done: Mapping[str, Any], site: str) -> dict[str, Any]:
-    ending = f"/{site}"
-    requested = {name: each for name, each in done.get(_ASKED, {}).items() if name.endswith(ending)}
-    return {**{name: each for name, each in done.items() if name.endswith(ending)}, _ASKED: requested}
 
 
 def _name(stage: str, site: str | None) -> str:

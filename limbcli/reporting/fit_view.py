@@ -65,7 +65,6 @@ class StepView:
     label: str
     c_kpa: float | None
     m: float | None
-    f_kappa: float | None
     kappa_kpa: float | None
     r2: float | None
     rmse_n: float | None
@@ -74,7 +73,6 @@ class StepView:
     seconds: float | None
     reason: str
     estimates: tuple[EstimateView, ...]
-    correlation: float | None
 
     def estimate(self, name: str) -> EstimateView | None:
         """Estimate of a free parameter of the step."""
@@ -149,7 +147,7 @@ _UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa
 
 
 def _step(key: str, content: Mapping[str, Any], element: str) -> StepView:
-    names = ("c_kpa", "m", "f_kappa", "kappa_kpa", "r2", "rmse_n", "seconds", "correlation")
+    names = ("c_kpa", "m", "kappa_kpa", "r2", "rmse_n", "seconds")
     return StepView(
         key=key,
         label=STEP_NAMES.get(key, key),

@@ -23,7 +23,7 @@ from limbcli.provenance.requested_options import in_words, options_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure, keep_error
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage, keep_error
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 
@@ -35,10 +35,7 @@ def batch(
 ) -> CaseOutcome:
     """Run all stages of one case; failures are recorded in the outcome and shown in the report.
 
-    Raises
-    ------
-    CaseError
-        If the folder does not exist.
+    Raises CaseError if the folder does not exist.
     """
     case = opened(folder, out)
     if isinstance(case, CaseOutcome):
@@ -56,10 +53,7 @@ def batch(
 def opened(folder: Path, out: Path) -> Case | CaseOutcome:
     """Open the case; if it cannot be read, write a report page that says why and return the failed outcome.
 
-    Raises
-    ------
-    CaseError
-        If the folder does not exist.
+    Raises CaseError if the folder does not exist.
     """
     from limbcli.stages.report_pages.failure import report_failure
 
@@ -69,7 +63,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
         if not folder.is_dir():
             raise
         page = report_failure(folder, error, out=out).path("page")
-        return CaseOutcome(folder, out, failures=[StepFailure("check", None, error)], report=page)
+        return CaseOutcome(folder, out, failures=[FailedStage("check", None, error)], report=page)
 
 
 @dataclass(frozen=True)
@@ -140,13 +134,6 @@ class CaseRun:
                 for name in names:
                     self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
                 return
-        memories = [self._memory(DIAGNOSE, name) for name in names]
-        if not self.options.defaults and all(
-            memory.made_since(DIAGNOSE, name) and self._holds(DIAGNOSE, name)
-            for name, memory in zip(names, memories, strict=True)
-        ):
-            for name, memory in zip(names, memories, strict=True):
-                memory.remember(DIAGNOSE, name, key)
         of_batch = {"solver": self.options.solver, "febio": self.options.febio}
         if self.options.templates:
             of_batch["templates"] = self.options.templates
@@ -155,7 +142,7 @@ class CaseRun:
         def work() -> object:
             return diagnose(self.case, sites=list(names), options=options, **self._common())
 
-        self._stage(DIAGNOSE, names[0], key, work, beside=names[1:])
+        self._stage(DIAGNOSE, names[0], key, work, beside=names[1:], keeps_manual=True)
 
     def last(self, first: str, keys: Sequence[str]) -> None:
         """Update what depends on all sites: the fits made on demand, and the report.
@@ -220,13 +207,10 @@ class CaseRun:
             self._skip(("socket",), None, because="limb")
             return [key]
         own = key_of("socket", key, *used["socket"], *parts_of(asked["socket"]))
-        made_by_hand = not self.options.defaults and self.memory.made_since("socket", None)
-        if made_by_hand and self._holds("socket", None):
-            self.memory.remember("socket", None, own)  # perhaps with intervals
-        self._stage("socket", None, own, pressed)
+        self._stage("socket", None, own, pressed, keeps_manual=True)  # perhaps with intervals
         return [key, own]
 
-    def keep(self, failure: StepFailure) -> None:
+    def keep(self, failure: FailedStage) -> None:
         """Record a failure for the report, in case its process was lost before it could do so itself."""
         stage, site = failure.stage, failure.site
         if (stage_folder(self.out, stage, site) / ERROR_FILE).is_file():
@@ -323,15 +307,26 @@ class CaseRun:
 
     def _stage(
         self, stage: str, site: str | None, key: str, work: Callable[[], object], *,
-        keep_result: bool = False, beside: Sequence[str] = (),
+        keep_result: bool = False, beside: Sequence[str] = (), keeps_manual: bool = False,
     ) -> bool:  # fmt: skip
         """Run a stage unless its result is up to date; False if it failed.
 
         keep_result : keep the earlier result if the stage fails
         beside : other sites whose results the same work writes
+        keeps_manual : a result made by hand counts as up to date for as long as it is valid
         """
         label = f"{stage} {site}" if site else stage
         memories = {each: self._memory(stage, each) for each in (site, *beside)}
+        if (
+            keeps_manual
+            and not self.options.defaults
+            and all(
+                memory.made_since(stage, each) and self._holds(stage, each)
+                for each, memory in memories.items()
+            )
+        ):
+            for each, memory in memories.items():
+                memory.remember(stage, each, key)
         if not self.options.force and all(
             memory.is_fresh(stage, each, key) and self._holds(stage, each)
             for each, memory in memories.items()
@@ -344,7 +339,7 @@ class CaseRun:
             self._pass_on(work())
         except LimbError as raised:
             error = pasted(raised, self.case.folder, self.out)
-            self.outcome.failures.append(StepFailure(stage, site, error))
+            self.outcome.failures.append(FailedStage(stage, site, error))
             for each in memories:
                 keep_error(self.out, stage, each, error, keep_result=keep_result)
             self.progress.event("note", text=f"{type(error).__name__}: {error.what}")

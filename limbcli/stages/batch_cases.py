@@ -14,17 +14,14 @@ from limbcli.files.output_lock import one_writer
 from limbcli.progress import SILENT, Progress
 from limbcli.stages.batch import batch
 from limbcli.stages.batch_task import in_words
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage
 from limbcli.stages.expect import EXPECTED_FILE, Comparison, compare
 
 
 def output_folders(cases: Iterable[Path], out: Path | None) -> list[tuple[Path, Path]]:
     """Each case once, with its output folder: `out` for a single case, a subfolder of it for several.
 
-    Raises
-    ------
-    CaseError
-        If two cases would have the same output folder.
+    Raises CaseError if two cases would have the same output folder.
     """
     several = list({case.resolve(): case for case in cases}.values())
     taken: dict[Path, Path] = {}
@@ -59,7 +56,7 @@ def one_case(
         with turn if case.is_dir() else nullcontext():
             return batch(case, out=out, options=options, progress=progress)
     except Exception as error:  # an error in one case never stops the others
-        failure = StepFailure("", None, pasted(in_words(error, out), case, out))
+        failure = FailedStage("", None, pasted(in_words(error, out), case, out))
         return CaseOutcome(case, out, failures=[failure], begun=False)
 
 
@@ -69,10 +66,7 @@ def outcomes(
 ) -> Iterator[CaseOutcome]:  # fmt: skip
     """Run all (case, output folder) pairs, one after the other here or together in several processes.
 
-    Raises
-    ------
-    ToolError
-        As `batch_cluster.together`.
+    Raises ToolError as `batch_cluster.together`.
     """
     if scheduler is None and jobs == 1:
         yield from (one_case(*pair, options, wait=wait, progress=progress) for pair in pairs)
@@ -91,7 +85,7 @@ def _readable(folder: Path) -> Case | None:
         return None
 
 
-def expectations(case: Path, out: Path, *, progress: Progress) -> tuple[list[Comparison], list[StepFailure]]:
+def expectations(case: Path, out: Path, *, progress: Progress) -> tuple[list[Comparison], list[FailedStage]]:
     """All comparisons with the case's expected.toml, and a failure for each that is not met."""
     file = case / EXPECTED_FILE
     if not file.is_file():
@@ -100,10 +94,10 @@ def expectations(case: Path, out: Path, *, progress: Progress) -> tuple[list[Com
     try:
         found = compare(case, out, case=_readable(case))
     except LimbError as error:
-        return [], [StepFailure(EXPECTED_FILE, None, error)]
+        return [], [FailedStage(EXPECTED_FILE, None, error)]
     fix = "check the report; if the new value is right, enter it there; correct any name that was not found"
     unlike = [
-        StepFailure(
+        FailedStage(
             "", None,
             FitError(f"{each.name} is {each.found}, expected {each.expected}", where=str(file), fix=fix),
         )

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import copy
 import itertools
 import sys
 import threading
@@ -22,6 +21,7 @@ from limbcli.stages.batch_task import (
     FIRST,
     FIRST_STAGE,
     LAST,
+    NOT_BEGUN,
     SITE,
     BatchTask,
     Call,
@@ -29,7 +29,7 @@ from limbcli.stages.batch_task import (
     work,
 )
 from limbcli.stages.batching.cluster import WorkerRefused, WorkerStanding, connected, lost_workers, threads_of
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -110,9 +110,7 @@ class _Together:
         self.client.subscribe_topic(self.call.topic, self._hear)
         over = threading.Event()
         threading.Thread(target=self._watch, args=(over,), daemon=True).start()
-        futures = [
-            self._submit(way, BatchTask(way.outcome.case, way.outcome.out, FIRST)) for way in self.ways
-        ]
+        futures = [self._part(way, FIRST) for way in self.ways]
         try:
             running = as_completed(futures)
             for future in running:
@@ -131,10 +129,19 @@ class _Together:
 
     # ------------------------------------------------------------ parts
 
+    def _part(
+        self, way: CaseProgress, kind: str, *, sites: tuple[str, ...] = (), keys: tuple[str, ...] = ()
+    ) -> Future:
+        outcome, begun = way.outcome, NOT_BEGUN if way.first is None else way.first.begun
+        failures = tuple(outcome.failures)
+        part = BatchTask(
+            outcome.case, outcome.out, kind, sites=sites, begun=begun, keys=keys, failures=failures
+        )
+        return self._submit(way, part)
+
     def _submit(self, way: CaseProgress, part: BatchTask) -> Future:
         """Submit a part; parts of earlier cases have priority, so that cases finish one after the other."""
         way.n_open += 1
-        part = copy.deepcopy(part)  # the case's outcome continues to change in this process
         # Dask groups tasks by the part of the key before the number. Tasks of a large group are queued at the
         # scheduler rather than at a worker, which may be lost.
         key = f"{part.kind}-0-{part.name.replace(' ', '-')}-{uuid.uuid4().hex}"
@@ -147,10 +154,7 @@ class _Together:
     def _usable(self) -> list[str] | None:
         """Addresses of the workers that have not refused; None if any worker may be used.
 
-        Raises
-        ------
-        ToolError
-            If all workers have refused.
+        Raises ToolError if all workers have refused.
         """
         if not self.refused:
             return None
@@ -196,38 +200,21 @@ class _Together:
         self.n_parts += len(sites) + len(way.places) + 1
         if not sites:
             return self._last(way)
-        case, out = way.outcome.case, way.outcome.out
-        return [
-            self._submit(way, BatchTask(case, out, SITE, sites=(site,), begun=done.begun)) for site in sites
-        ]
+        return [self._part(way, SITE, sites=(site,)) for site in sites]
 
     def _diagnoses(self, way: CaseProgress) -> list[Future]:
         """Submit the diagnosis of each place whose sites have all finished."""
         ready = [place for place in way.places if way.keys.keys() >= set(place)]
         way.places = [place for place in way.places if place not in ready]
-        assert way.first is not None
-        outcome, begun = way.outcome, way.first.begun
-        keys = [tuple(way.keys[name] for name in place) for place in ready]
         return [
-            self._submit(
-                way,
-                BatchTask(
-                    outcome.case, outcome.out, DIAGNOSIS, sites=place, begun=begun, keys=own, outcome=outcome
-                ),
-            )
-            for place, own in zip(ready, keys, strict=True)
+            self._part(way, DIAGNOSIS, sites=place, keys=tuple(way.keys[name] for name in place))
+            for place in ready
         ]
 
     def _last(self, way: CaseProgress) -> list[Future]:
         assert way.first is not None
         keys = tuple(way.keys[site] for site in way.first.sites if site in way.keys)
-        outcome, begun = way.outcome, way.first.begun
-        return [
-            self._submit(
-                way,
-                BatchTask(outcome.case, outcome.out, LAST, sites=(), begun=begun, keys=keys, outcome=outcome),
-            )
-        ]
+        return [self._part(way, LAST, keys=keys)]
 
     def _ended(self, way: CaseProgress) -> list[Future]:
         self.n_cases_done += 1
@@ -250,10 +237,7 @@ class _Together:
     def _without_answer(self, way: CaseProgress, part: BatchTask, error: Exception) -> PartOutcome:
         """A failed outcome for a part that Dask abandoned.
 
-        Raises
-        ------
-        ToolError
-            If the connection to the scheduler is lost.
+        Raises ToolError if the connection to the scheduler is lost.
         """
         from distributed import KilledWorker
 
@@ -275,8 +259,8 @@ class _Together:
             text = f"the cluster abandoned it ({type(error).__name__}: {error})"
             reported = ToolError(text, where=part.name, fix=f"check the workers' logs; {_SAME}")
         stage = self.stages.get(part.name, FIRST_STAGE[part.kind])
-        outcome = CaseOutcome(part.case, part.out, failures=[StepFailure(stage, part.site, reported)])
-        return PartOutcome(outcome, is_all=part.kind == LAST)
+        outcome = CaseOutcome(part.case, part.out, failures=[FailedStage(stage, part.site, reported)])
+        return PartOutcome(outcome)
 
     # ------------------------------------------------------------ progress
 

@@ -14,7 +14,7 @@ from limbcli.progress import Listener, Progress
 from limbcli.results import CALLED
 from limbcli.stages.batch import DIAGNOSE, CaseRun, StartedCase, opened
 from limbcli.stages.batching.cluster import WorkerStanding, as_called, refuse_other
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, StepFailure
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage
 from limbcli.stages.batching.steps import SITE_STAGES
 
 FIRST, SITE, DIAGNOSIS, LAST = "first", "site", "diagnosis", "last"
@@ -46,7 +46,7 @@ class Call:
 class BatchTask:
     """A part of a case: its first, its last, that of one site, or the diagnosis of sites sharing a place.
 
-    begun, keys : results of the preceding parts; outcome : that of the case so far (diagnosis and last part)
+    begun, keys, failures : results of the preceding parts of the case
     """
 
     case: Path
@@ -56,7 +56,7 @@ class BatchTask:
     sites: tuple[str, ...] = ()
     begun: StartedCase = NOT_BEGUN
     keys: tuple[str, ...] = ()
-    outcome: CaseOutcome | None = None
+    failures: tuple[FailedStage, ...] = ()
 
     @property
     def name(self) -> str:
@@ -73,7 +73,7 @@ class PartOutcome:
     """Outcome of a part.
 
     sites : the case's sites, from its first part; key : key of the last stage, from a site's part
-    is_all : whether no further part follows
+    is_all : whether no part follows the first
     """
 
     outcome: CaseOutcome
@@ -86,10 +86,7 @@ class PartOutcome:
 def work(part: BatchTask, call: Call) -> PartOutcome:
     """Run one part on a worker; its errors are recorded in its outcome.
 
-    Raises
-    ------
-    WorkerRefused
-        If this worker's code differs from the client's.
+    Raises WorkerRefused if this worker's code differs from the client's.
     """
     from distributed import get_worker
 
@@ -135,7 +132,7 @@ def done(part: BatchTask, call: Call, listener: Listener) -> PartOutcome:
     try:
         return _KINDS[part.kind](part, call, progress)
     except Exception as error:  # an error in one part never stops the others
-        outcome.failures.append(StepFailure(heard.stage, part.site, in_words(error, part.out)))
+        outcome.failures.append(FailedStage(heard.stage, part.site, in_words(error, part.out)))
     return PartOutcome(outcome, is_all=not part.case.is_dir())
 
 
@@ -182,7 +179,7 @@ def _site(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     with site_writer(part.out, part.site, wait=call.wait, progress=progress):
         run = CaseRun(Case.open(part.case), part.out, call.options, progress)
         key = run.site(part.site, part.begun.key)
-    return PartOutcome(run.outcome, part.begun, key=key)
+    return PartOutcome(run.outcome, key=key)
 
 
 def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
@@ -194,7 +191,7 @@ def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
         for site in sorted(part.sites):  # always in the same order, to prevent deadlock
             turns.enter_context(site_writer(part.out, site, wait=call.wait, progress=progress))
         CaseRun(Case.open(part.case), part.out, call.options, progress, own).diagnosis(part.sites, part.keys)
-    return PartOutcome(_only_new(part, own), part.begun)
+    return PartOutcome(_only_new(part, own))
 
 
 def _last(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
@@ -204,20 +201,19 @@ def _last(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
     own = _so_far(part)
     with one_writer(part.out, wait=call.wait, progress=progress):
         run = CaseRun(Case.open(part.case), part.out, call.options, progress, own)
-        for each in list(own.failures):
+        for each in part.failures:
             run.keep(each)
         run.last(part.begun.key, part.keys)
-    return PartOutcome(_only_new(part, own), part.begun, is_all=True)
+    return PartOutcome(_only_new(part, own))
 
 
 def _so_far(part: BatchTask) -> CaseOutcome:
     """A new outcome that starts with the failures of the preceding parts."""
-    failures = [] if part.outcome is None else list(part.outcome.failures)
-    return CaseOutcome(part.case, part.out, failures=failures)
+    return CaseOutcome(part.case, part.out, failures=list(part.failures))
 
 
 def _only_new(part: BatchTask, own: CaseOutcome) -> CaseOutcome:
-    del own.failures[: len(_so_far(part).failures)]
+    del own.failures[: len(part.failures)]
     return own
 
 

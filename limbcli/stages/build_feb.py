@@ -77,15 +77,7 @@ def build_feb(
     case: Case, *, out: Path, sites: list[str] | None = None, options: TissueOptions = TissueOptions(),
     templates: Path | None = None, progress: Progress = SILENT,
 ) -> list[StageResult]:  # fmt: skip
-    """Write `model.feb` of each site.
-
-    Raises
-    ------
-    CaseError
-        If the mesh is missing or out of date, or a template is faulty.
-    MeasurementError
-        If the levels cannot be used, or c is neither measured nor given.
-    """
+    """Write `model.feb` of each site. Raises as `limbcli.build_feb`."""
     results = []
     for site in case.selected(sites):
         progress.event("stage", name=STAGE, site=site.name)
@@ -132,10 +124,7 @@ def tissue_stiffness(levels: Levels, site: Site, *, c_kpa: float | None = None) 
 
     Without a level 0 the speed of the first row is used, and the source says so.
 
-    Raises
-    ------
-    MeasurementError
-        If level 0 has no speed and no c is given, or the given c is out of range.
+    Raises MeasurementError if level 0 has no speed and no c is given, or the given c is out of range.
     """
     if c_kpa is not None:
         low, high = C_KPA

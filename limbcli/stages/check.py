@@ -26,8 +26,7 @@ from limbcli.site_model.cycle_words import cycle_lines
 from limbcli.site_model.site_levels import levels_of
 from limbcli.site_model.site_states import state_problems
 from limbcli.stages.check_geometry import geometry_findings
-from limbcli.stages.check_instruments import instrument_problems
-from limbcli.stages.check_layers import layer_lines, stated_layer_noise
+from limbcli.stages.check_instruments import instrument_problems, layer_lines, stated_layer_noise
 
 
 @dataclass(frozen=True)

@@ -51,13 +51,7 @@ def cohort(
 ) -> StageResult:
     """Identify every row of a table, estimate each site's population, and predict left-out people.
 
-    Raises
-    ------
-    MeasurementError
-        If the table cannot be used; every problem is named with its line.
-    CaseError, ToolError
-        If the folder cannot be written or holds files that `cohort` did not write, or the emulator's
-        simulations are missing.
+    Raises as `limbcli.cohort`.
     """
     started = time.process_time()
     progress.event("stage", name="cohort")

@@ -96,16 +96,7 @@ def diagnose(
 ) -> list[StageResult]:  # fmt: skip
     """Diagnose each site. Writes diagnosis.json, figures and the model with the chosen effects.
 
-    Raises
-    ------
-    CaseError
-        If `segment` has not been run, or an effect is not known.
-    MeasurementError
-        If the levels cannot be used.
-    ToolError
-        If FEBio is requested and not found.
-    SolveError, FitError
-        If the model without effects cannot be solved or fitted.
+    Raises as `limbcli.diagnose`.
     """
     draining = DrainageSolver.chosen(options.solver, options.febio)
     effects = chosen_effects(options)

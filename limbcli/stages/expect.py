@@ -78,10 +78,7 @@ def compare(folder: Path, out: Path, *, case: Case | None = None) -> list[Compar
 
     case : if given, a result counts only if its inputs have not changed since
 
-    Raises
-    ------
-    CaseError
-        If expected.toml is absent or not understood.
+    Raises CaseError if expected.toml is absent or not understood.
     """
     path = folder / EXPECTED_FILE
     try:

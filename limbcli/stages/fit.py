@@ -23,8 +23,7 @@ from limbcli.feb.write import write_feb
 from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
-from limbcli.fitting.geometry import site_geometry_uncertainty
-from limbcli.fitting.geometry_result import write_geometry
+from limbcli.fitting.geometry import site_geometry_uncertainty, write_geometry
 from limbcli.fitting.kept_solves import KeptSolves
 from limbcli.fitting.layer_comparison import write_layers
 from limbcli.fitting.model_checks import (
@@ -73,6 +72,7 @@ __all__ = [
 ]  # fmt: skip
 
 STAGE = "fit"
+_MOST_SOLVES = 12  # usual number of additional simulations for the intervals
 START = np.array([START_F_KAPPA, 2.0])
 _FIRST_SOLVES = 2  # greatest number of additional simulations for the interval of the first step
 
@@ -88,14 +88,7 @@ def fit(
     speeds that the fitted model predicts: swe.csv, swe/level_00.csv ..., swe.png, swe-maps.png; if
     layers were read, also layers.csv and layers.png.
 
-    Raises
-    ------
-    CaseError
-        If the model of `build-feb` is missing or out of date.
-    MeasurementError
-        If the levels cannot be used, or c is neither measured nor given.
-    SolveError, FitError
-        If the model cannot be solved at the initial guess, or the search does not converge.
+    Raises as `limbcli.fit`.
     """
     options = options or FitOptions()
     check_numbers(options)
@@ -157,7 +150,7 @@ def _fit_site(
             )
         elif options.intervals:
             search = _IntervalSearch(
-                match=match, known=known, steps=steps, max_solves=options.max_interval_solves,
+                match=match, known=known, steps=steps, max_solves=options.most_solves(_MOST_SOLVES),
                 progress=progress,
             )  # fmt: skip
             # the wide ones first, as the solves at their ends serve the narrower ones too

@@ -72,10 +72,7 @@ def compare_elements(
 ) -> list[StageResult]:
     """Fit each site with both element types, using the reference solver.
 
-    Raises
-    ------
-    MeshError
-        If the mesh does not consist of tetrahedra. Other errors are as in `fit`.
+    Raises as `limbcli.compare_elements`.
     """
     options = options or FitOptions()
     check_numbers(options)

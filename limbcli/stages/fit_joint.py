@@ -22,9 +22,12 @@ from limbcli.case import Case, Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.fitting.exports import write_mat_file
-from limbcli.fitting.fibre_orientations import write_orientations
 from limbcli.fitting.fibre_rest_speed import rest_speed
-from limbcli.fitting.fibre_uncertainty import stated_deviation, write_direction_uncertainty
+from limbcli.fitting.fibre_uncertainty import (
+    stated_deviation,
+    write_direction_uncertainty,
+    write_orientations,
+)
 from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
@@ -59,21 +62,8 @@ from limbcli.solvers.material_lines import MaterialLines
 from limbcli.stages.fit import FitOptions, built_model, check_numbers, initial_stiffness
 
 STAGE = "fit-joint"
-
-
-@dataclass(frozen=True)
-class JointOptions:
-    """Options of the joint fit.
-
-    law : one of `fitting.laws.LAWS`; compare_laws : fit all laws and compare them by held-out error
-    gain_deviation : relative numerical error of simulated forces, one standard deviation (None: from
-        `mesh --study` if it was run, else by element type and edge length)
-    """
-
-    law: str = "ogden"
-    compare_laws: bool = False
-    gain_deviation: float | None = None
-    max_solves: int = 16
+_IN_THE_RESULT = ("law", "compare_laws")  # options that other keys of the result tell
+_MOST_SOLVES = 16  # usual number of simulations added for the intervals
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -96,22 +86,19 @@ class Measured:
 
 
 def fit_joint(
-    case: Case, *, out: Path, sites: list[str] | None = None, joint: JointOptions | None = None,
-    options: FitOptions | None = None, progress: Progress = SILENT,
+    case: Case, *, out: Path, sites: list[str] | None = None, options: FitOptions | None = None,
+    progress: Progress = SILENT,
 ) -> StageResult:  # fmt: skip
     """Identify one set of parameters for the named sites (default: all) by the joint likelihood.
 
     Writes fit-joint.json, a table of levels for each site, fit-joint.png, parameters.csv, fit.mat
     and material.feb; with `compare_laws` also laws.csv.
 
-    Raises
-    ------
-    CaseError, MeasurementError, SolveError, FitError
-        As `fit`.
+    Raises as `limbcli.fit_joint`.
     """
-    joint, options = joint or JointOptions(), options or FitOptions()
-    law = law_named(joint.law)
-    check_numbers(options, gain_deviation=joint.gain_deviation)
+    options = options or FitOptions()
+    law, most = law_named(options.law), options.most_solves(_MOST_SOLVES)
+    check_numbers(options)
     progress.event("stage", name=STAGE, site=None)
     clock = time.perf_counter()
     with open_stage(out, STAGE, subject=case.subject) as writer:
@@ -125,7 +112,7 @@ def fit_joint(
         models = [(each.site.name, each.model) for each in measured]
         have_fibres = any(model.fibres is not None for _, model in models)
         others = [each for each in LAWS if each != law.name and (have_fibres or not LAWS[each].has_fibres)]
-        names = [law.name, *(others if joint.compare_laws else [])]
+        names = [law.name, *(others if options.compare_laws else [])]
         if law.has_fibres:
             write_orientations(models, [each.levels.has_swe for each in measured], writer)
         table = []
@@ -135,12 +122,10 @@ def fit_joint(
             with ExitStack() as curves_open:
                 try:
                     curves = _curves(measured, LAWS[name], c0, curves_open, progress)
-                    first = _identify(measured, LAWS[name], c0, curves, joint, options, progress)
+                    first = _identify(measured, LAWS[name], c0, curves, options, progress)
                     if name == law.name and options.boundary_check:
                         changed = _changed_boundaries(curves, *first, progress)
-                    problem, found = allowing_for(
-                        changed, *first, max_solves=joint.max_solves, progress=progress
-                    )
+                    problem, found = allowing_for(changed, *first, max_solves=most, progress=progress)
                 except (SolveError, FitError) as error:
                     if name == law.name:
                         raise
@@ -157,9 +142,10 @@ def fit_joint(
                             write_boundary_check(forces, curve.depths, writer, site=each.site.name)
                     if options.contact_check:
                         _check_contact(writer, measured, curves, problem, found, progress)
-        if joint.compare_laws:
+        if options.compare_laws:
             write_comparison(writer, table)
-        writer.data["asked"] = {**options.requested("joint"), "gain_deviation": joint.gain_deviation}
+        asked = {**options.requested("joint"), "gain_deviation": options.gain_deviation}
+        writer.data["asked"] = {key: each for key, each in asked.items() if key not in _IN_THE_RESULT}
         writer.data["seconds"] = time.perf_counter() - clock
         write_mat_file(writer)
     return writer.result
@@ -231,8 +217,8 @@ def _curves(
 
 
 def _identify(
-    measured: Sequence[Measured], law: FitLaw, c0: float, exact: Sequence[LawCurve], joint: JointOptions,
-    options: FitOptions, progress: Progress,
+    measured: Sequence[Measured], law: FitLaw, c0: float, exact: Sequence[LawCurve], options: FitOptions,
+    progress: Progress,
 ) -> tuple[JointProblem, Intervals]:  # fmt: skip
     curves, data = [], []
     log_speed_0: list[RestSpeed] = []
@@ -247,7 +233,7 @@ def _identify(
         for place in first_shapes(curve.law):
             memory(place, tuple(range(len(place))))
         curves.append(memory)
-        data.append(site_data(each, curve.depths, joint, speeds=speeds))
+        data.append(site_data(each, curve.depths, options.gain_deviation, speeds=speeds))
     prior = None if any(len(each.log_speed) for each in data) else _c_prior(measured, options)
     beside = [curve.law.has_ratio for curve in exact]
     task = JointTask(
@@ -255,7 +241,7 @@ def _identify(
         beside_layers=beside,
     )  # fmt: skip
     starts = [np.r_[c0, shape] for shape in first_shapes(law)]
-    return joint_fit(task, starts, max_solves=joint.max_solves, progress=progress)
+    return joint_fit(task, starts, max_solves=options.most_solves(_MOST_SOLVES), progress=progress)
 
 
 def _check_directions(
@@ -313,12 +299,15 @@ def _check_contact(
         )  # fmt: skip
 
 
-def site_data(measured: Measured, knots: Array, joint: JointOptions, *, speeds: bool) -> SiteMeasurement:
-    """The loading levels of a site with their stated noise."""
+def site_data(measured: Measured, knots: Array, given: float | None, *, speeds: bool) -> SiteMeasurement:
+    """The loading levels of a site with their stated noise.
+
+    given : relative numerical error of the force, given by hand
+    """
     levels, noise = measured.levels, measured.site.noise
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
     seen = levels.loading & np.isfinite(levels.swe_mean_m_per_s) if speeds else np.zeros(len(levels), bool)
-    given = joint.gain_deviation if joint.gain_deviation is not None else measured.studied_error
+    given = measured.studied_error if given is None else given
     deviation = mean_speed_deviation(levels, speed_noise(measured.site))[seen]
     return SiteMeasurement(
         name=measured.site.name, knots=knots, force=levels.force[rows], depth=levels.depth[rows],

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -31,14 +31,14 @@ from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
-from limbcli.provenance.requested_options import requested_by_options
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.site_layers import held_layers
 from limbcli.site_model.site_states import MeasuredState, states_of
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
-from limbcli.stages.fit_joint import JointOptions, Measured, check_noise, site_data
+from limbcli.stages.fit_joint import Measured, check_noise, site_data
 
 STAGE = "fit-states"
+_MOST_ROUNDS = 3  # usual number of rounds of simulations for the intervals
 _KNOTS = 6  # number of simulated depths
 # Largest simulated depth as a multiple of the deepest reading; exponent of the spacing of simulated depths
 # (above 1 they are denser near first touch).
@@ -46,22 +46,9 @@ _BEYOND, _BEND = 1.05, 1.25
 _LEAST_DEPTH = 0.5  # mm, least value of the first simulated depth
 
 
-@dataclass(frozen=True)
-class StatesOptions:
-    """Options of the fit of states.
-
-    law : one of `fitting.laws.LAWS`; gain_deviation : as in `fit`
-    max_rounds : greatest number of rounds of simulations for the intervals
-    """
-
-    law: str = "ogden"
-    gain_deviation: float | None = None
-    max_rounds: int = 3
-
-
 def fit_states(
-    case: Case, *, out: Path, sites: list[str] | None = None, states: StatesOptions | None = None,
-    options: FitOptions | None = None, progress: Progress = SILENT,
+    case: Case, *, out: Path, sites: list[str] | None = None, options: FitOptions | None = None,
+    progress: Progress = SILENT,
 ) -> list[StageResult]:  # fmt: skip
     """Identify a common law, and a stretch for every state, at each site that has states.
 
@@ -69,18 +56,11 @@ def fit_states(
     of levels for each state, parameters.csv, fit.mat, material.feb, and <state>.feb (each fitted state for
     FEBio).
 
-    Raises
-    ------
-    CaseError
-        If no site has states, they do not differ, or the model of `build-feb` is missing or out of date.
-    MeasurementError
-        If the levels of a state cannot be used, or lack a speed at rest.
-    SolveError, FitError
-        If the model cannot be solved at the initial guess, or the search does not converge.
+    Raises as `limbcli.fit_states`.
     """
-    states, options = states or StatesOptions(), options or FitOptions()
-    check_numbers(options, gain_deviation=states.gain_deviation)
-    law_named(states.law)  # before any work
+    options = options or FitOptions()
+    check_numbers(options)
+    law_named(options.law)  # before any work
     selected = [site for site in case.selected(sites) if site.states]
     if not selected:
         raise CaseError(
@@ -93,8 +73,8 @@ def fit_states(
         progress.event("stage", name=STAGE, site=site.name)
         with open_stage(out, STAGE, subject=case.subject, site=site.name) as writer:
             clock = time.perf_counter()
-            _fit_site(noted(case, writer), site.name, out, writer, states, progress)
-            writer.data["asked"] = {**options.requested("states"), **requested_by_options(states)}
+            _fit_site(noted(case, writer), site.name, out, writer, options, progress)
+            writer.data["asked"] = options.requested("states")
             writer.data["seconds"] = time.perf_counter() - clock
             write_mat_file(writer)
         results.append(writer.result)
@@ -102,9 +82,9 @@ def fit_states(
 
 
 def _fit_site(
-    case: Case, name: str, out: Path, writer: StageWriter, states: StatesOptions, progress: Progress
+    case: Case, name: str, out: Path, writer: StageWriter, options: FitOptions, progress: Progress
 ) -> None:
-    site, law = case.site(name), law_named(states.law)
+    site, law = case.site(name), law_named(options.law)
     plan = stretch_plan(site)
     measured = states_of(site)
     check_noise(site, speeds=True)
@@ -117,7 +97,7 @@ def _fit_site(
         )
     if case.imaging.assumed:
         writer.warnings.append(NOT_ALLOWED_FOR)
-    given = states.gain_deviation
+    given = options.gain_deviation
     studied = None if given is not None else studied_error(case, site, out, writer)
     c0 = _start_c(site, measured, plan)
     simulated = law.beside_layers() if beside else law
@@ -128,7 +108,7 @@ def _fit_site(
     try:
         problem, found = identify(
             curve, law, plan, [state_data(site, model, each, curve.depths) for each in measured],
-            gain=gain_deviation(model, given, studied=studied), max_rounds=states.max_rounds,
+            gain=gain_deviation(model, given, studied=studied), max_rounds=options.most_solves(_MOST_ROUNDS),
             progress=progress,
         )  # fmt: skip
         fit = FittedStates(site=site, law=law, plan=plan, curve=curve, problem=problem, found=found)
@@ -140,7 +120,7 @@ def _fit_site(
 def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array) -> SiteMeasurement:
     """A state's loading levels with their stated noise; depths : of the simulated levels (mm)."""
     taken = Measured(site=site, model=model, levels=each.levels, c=0.0)
-    return replace(site_data(taken, depths, JointOptions(), speeds=True), name=each.state.name)
+    return replace(site_data(taken, depths, None, speeds=True), name=each.state.name)
 
 
 def identify(
@@ -180,10 +160,7 @@ def first_simulations(
 def knots(measured: Sequence[MeasuredState]) -> list[float]:
     """Simulated depths (mm), up to slightly beyond the deepest reading of all states.
 
-    Raises
-    ------
-    MeasurementError
-        If no reading is deeper than 1 mm.
+    Raises MeasurementError if no reading is deeper than 1 mm.
     """
     deepest = max(float(np.max(each.levels.depth[each.levels.loading])) for each in measured)
     if deepest < 2 * _LEAST_DEPTH:

@@ -28,8 +28,7 @@ from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.site_levels import layer_noise
 from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
 from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
-from limbcli.stages.measuring.layers_on_images import layer_columns, read_borders
-from limbcli.stages.measuring.pennation_angle import write_pennation
+from limbcli.stages.measuring.layers_on_images import layer_columns, read_borders, write_pennation
 
 STAGE = "measure"
 
@@ -39,12 +38,7 @@ def measure(
 ) -> list[StageResult]:
     """Read the instruments' files of each site; with `write`, write levels.csv where the case names it.
 
-    Raises
-    ------
-    CaseError
-        If a site names no instrument, or `write` would overwrite a file.
-    MeasurementError
-        If a record or image cannot be read, or their numbers of levels differ.
+    Raises as `limbcli.measure`.
     """
     results = []
     for site in case.selected(sites):

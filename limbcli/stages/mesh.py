@@ -78,12 +78,7 @@ def mesh(
 
     study : also run a refinement study of each site (its result follows the site's)
 
-    Raises
-    ------
-    CaseError
-        If a site or option cannot be used, or the result of `segment` is missing or out of date.
-    MeshError
-        If no volume mesh of sufficient quality could be made.
+    Raises as `limbcli.mesh`.
     """
     chosen, place = case.selected(sites), options.place
     if place is not None and len(chosen) != 1:
@@ -139,12 +134,7 @@ def mesh_site(
 ) -> StageResult:  # fmt: skip
     """Mesh one site and write its folder below `out`.
 
-    Raises
-    ------
-    CaseError
-        If the site cannot be used.
-    MeshError
-        If no volume mesh of sufficient quality could be made.
+    Raises CaseError if the site cannot be used, and MeshError as `mesh`.
     """
     case, segmented = inputs.case, inputs.segmented
     progress.event("stage", name="mesh", site=site.name)

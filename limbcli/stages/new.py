@@ -30,10 +30,7 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
     folder : must be absent or empty; existing files are never changed
     sites : names of the places that will be measured
 
-    Raises
-    ------
-    CaseError
-        If the folder is not empty, the path is a file, or a site's name is invalid.
+    Raises CaseError if the folder is not empty, the path is a file, or a site's name is invalid.
     """
     names = _checked(sites)
     _refuse_used(folder)

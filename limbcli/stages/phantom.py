@@ -87,14 +87,7 @@ def phantom(
     force: bool = False,
     progress: Progress = SILENT,
 ) -> StageResult:
-    """Make the case folder, completely or not at all.
-
-    Raises
-    ------
-    CaseError
-        If the folder exists and `force` is not given, or if it holds anything other than a
-        synthetic subject; or if the subject's id is invalid.
-    """
+    """Make the case folder, completely or not at all. Raises as `limbcli.make_phantom`."""
     if (wrong := plain_name(options.subject_id)) is not None:
         raise CaseError(f"the subject's id {wrong}", where="--id", fix="give a short name, such as S1")
     _check_target(folder, force=force)

@@ -34,10 +34,7 @@ def report(
     and the command that runs it; missing results never stop the report.
     templates : a folder whose `report/` takes precedence over limbcli's templates
 
-    Raises
-    ------
-    ToolError
-        If limbcli's templates or the named ones are not found.
+    Raises as `limbcli.report`.
     """
     templates_folder(templates)  # before their content is hashed
     inputs = CaseInputs(case)

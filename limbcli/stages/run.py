@@ -55,14 +55,7 @@ def run(
     A run that fails or is stopped leaves its model, its log and a run.json with the reason in
     `<site>-failed`; the reference solver continues from there when the same model is run again.
 
-    Raises
-    ------
-    CaseError
-        If the model of `build-feb` is missing or out of date.
-    ToolError
-        If FEBio is requested but not found.
-    SolveError
-        If the end of the load is not reached, or the solver does not support a feature of the model.
+    Raises as `limbcli.run`.
     """
     runner = _Runner.of(solver, febio, options, progress)
     results = []
@@ -76,15 +69,7 @@ def run_file(
     feb: Path, *, out: Path, solver: str = "auto", febio: Path | None = None,
     options: RunOptions = RunOptions(), progress: Progress = SILENT,
 ) -> StageResult:  # fmt: skip
-    """Run a model file that belongs to no case; the result is `<out>/run`.
-
-    Raises
-    ------
-    CaseError
-        If the output folder holds the results of a case. Also as in `run`.
-    ToolError, SolveError
-        As in `run`.
-    """
+    """Run a model file that belongs to no case; the result is `<out>/run`. Raises as `limbcli.run_feb`."""
     _refuse_results_of_a_case(out, feb)
     runner = _Runner.of(solver, febio, options, progress)
     model = runnable(feb)

@@ -89,10 +89,7 @@ def segment(
 
     fresh : ignore an edited label map and start again
 
-    Raises
-    ------
-    CaseError
-        If the input cannot be used; the message gives the reason and the remedy.
+    Raises as `limbcli.segment`.
     """
     progress.event("stage", name="segment")
     _check_seeds(options.seeds, case)
@@ -211,10 +208,7 @@ def _place(problems: Sequence[Problem], own_grid: bool, writer: StageWriter) -> 
 def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progress: Progress) -> Volume:
     """The image series in the label map's axis order if both have the same grid; else the label map itself.
 
-    Raises
-    ------
-    CaseError
-        If label map and series do not cover the same region.
+    Raises CaseError if label map and series do not cover the same region.
     """
     if case.imaging.mri is None:
         return labels

@@ -28,8 +28,14 @@ from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, 
 from limbcli.stages.in_socket.intervals import Pose, drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.stages.in_socket.patch_table import WHOLE, Interval, patch_masks, patch_rows, write_patches
-from limbcli.stages.in_socket.pictures import pressure_picture
+from limbcli.stages.in_socket.patch_table import (
+    WHOLE,
+    Interval,
+    patch_masks,
+    patch_rows,
+    pressure_picture,
+    write_patches,
+)
 
 STAGE = "socket"
 _MARGIN_MM = 10.0  # the contact sees the socket this much farther than the deepest interference
@@ -71,14 +77,7 @@ def socket(
 
     templates : folder of templates of the .feb; None: the bundled ones
 
-    Raises
-    ------
-    CaseError
-        If the case gives no socket, or the result of `limb` is missing or out of date.
-    MeshError
-        If the socket cannot be that of this limb.
-    SolveError
-        If donning or a load has no equilibrium.
+    Raises as `limbcli.socket`.
     """
     progress.event("stage", name=STAGE)
     _given(case, options)

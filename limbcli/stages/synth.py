@@ -56,13 +56,7 @@ def synth(
 ) -> StageResult:  # fmt: skip
     """Write a copy of `case` with simulated measurements, and the true values to `truth_file(out_case)`.
 
-    Raises
-    ------
-    CaseError
-        If `out_case` exists and `force` is not given, or is the case itself; if layers are to be
-        read but `segment` found none; if a state's true stretch is not given.
-    MeshError, SolveError
-        If a site cannot be meshed or simulated.
+    Raises as `limbcli.synth`.
     """
     _check_target(case, out_case, force=force)
     chosen = case.selected(sites)
@@ -128,10 +122,7 @@ def measure_sites(
 ) -> list[SyntheticSite]:
     """Simulate every site on its mesh and take the readings; run `segment` and `mesh` if necessary.
 
-    Raises
-    ------
-    CaseError
-        If the fitted mesh is to be used, but another element type or other sizes are given.
+    Raises CaseError if the fitted mesh is to be used, but another element type or other sizes are given.
     """
     _refuse_unheard(options)
     numbers = {each.name: k for k, each in enumerate(case.sites)}
@@ -223,7 +214,7 @@ def _measure_site(
             stretch=None if state is None else (state.along, state.around),
         )  # fmt: skip
         true = indent(
-            press, protocol=protocol, window=options.window, density_kg_per_m3=site.density_kg_per_m3,
+            press, protocol=protocol, density_kg_per_m3=site.density_kg_per_m3,
             change_for_waves=_change(for_waves), borders=borders,
         )  # fmt: skip
         readings = read_off(true, law, options, number, state=None if state is None else k)

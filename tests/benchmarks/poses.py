@@ -26,7 +26,7 @@ from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.model import Array, LimbModel
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.stages.fit import FitOptions
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from tests.meshing.test_pose import AXIS, PLACE, POSES, PROBE, posed
 from tests.stages import block_case as block
 
@@ -61,9 +61,8 @@ def fitted(model: LimbModel, forces: Array, speeds: Array, folder: Path) -> Mapp
     for old, new in _NOISE.items():
         text = text.replace(old, new)
     case.file.write_text(text)
-    options = FitOptions(contact_check=False, boundary_check=False)
-    joint = JointOptions(max_solves=8)
-    return fit_joint(Case.open(case.folder), out=folder / "out", joint=joint, options=options).data
+    options = FitOptions(contact_check=False, boundary_check=False, max_interval_solves=8)
+    return fit_joint(Case.open(case.folder), out=folder / "out", options=options).data
 
 
 def change(found: Mapping[str, Any], plain: Mapping[str, Any], name: str) -> tuple[float, float, float]:

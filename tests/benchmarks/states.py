@@ -28,8 +28,7 @@ from limbcli.fitting.laws import LAWS
 from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
-from limbcli.inference.curve_minimum import lowest_on_grid
-from limbcli.inference.derived import SearchRange, derived_interval
+from limbcli.inference.derived import SearchRange, derived_interval, lowest_on_grid
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from limbcli.cli import entry
-from limbcli.cli.error_output import report_error
+from limbcli.cli.output import report_error
 from limbcli.cli.terminal import emit
 from limbcli.drawing import write_data
 from limbcli.errors import CaseError
@@ -45,7 +45,7 @@ def test_results_and_errors_are_printed_without_control_characters(
 
 
 def test_every_command_prints_by_the_one_function():
-    """Only say.py and JSON (which escapes) print; the progress line's own codes stay in terminal.py."""
+    """Only output.py and JSON (which escapes) print; the progress line's own codes stay in terminal.py."""
     for path in CLI.glob("*.py"):
         calls = [
             each
@@ -54,7 +54,7 @@ def test_every_command_prints_by_the_one_function():
         ]
         prints = [each for each in calls if isinstance(each.func, ast.Name) and each.func.id == "print"]
         is_json = ["json.dumps" in ast.unparse(each) for each in prints]
-        assert path.name == "say.py" or all(is_json), path.name
+        assert path.name == "output.py" or all(is_json), path.name
 
 
 def test_the_cohort_prints_no_control_character_of_its_table(tmp_path: Path):

@@ -8,8 +8,7 @@ import threading
 import time
 
 from limbcli.cli import terminal as module
-from limbcli.cli.remaining_time import TimeLeft, keep_alive
-from limbcli.cli.terminal import terminal
+from limbcli.cli.terminal import TimeLeft, keep_alive, terminal
 
 NEWTON = {"n_steps": 25, "iteration": 2, "residual": 1e-3, "target": 1e-6, "aim": "depth 3.00 mm"}
 

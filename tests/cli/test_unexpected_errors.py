@@ -19,7 +19,7 @@ pytestmark = pytest.mark.slow
 FAULTY = """
 import sys
 from limbcli.cli import entry
-from limbcli.cli import segment as command
+from limbcli.cli import command_functions as command
 import limbcli.stages.segment as module
 def broken(*_, **__):
     raise ZeroDivisionError("of all things")

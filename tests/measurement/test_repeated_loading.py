@@ -11,7 +11,7 @@ import pytest
 
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.measurement.cycle_changes import change_text, changes, support_text
-from limbcli.measurement.hold_cycles import cycles_of_holds
+from limbcli.measurement.holds import cycles_of_holds
 from limbcli.measurement.indentation import read_levels
 from limbcli.measurement.levels import Levels
 from limbcli.measurement.repeated_loading import Difference, compare, cycle_energy, study_cycles

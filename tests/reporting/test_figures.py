@@ -14,21 +14,23 @@ from matplotlib.figure import Figure
 
 from limbcli.cohorts.figures import compliance, distributions
 from limbcli.drawing import figure_data
+from limbcli.fitting.joint_picture import profile_figure
+from limbcli.fitting.layer_comparison import layers_figure
+from limbcli.fitting.states_result import StateReading, StatesPanel, states_figure
+from limbcli.fitting.stiffness_map import stiffness_figure
+from limbcli.inference.profile import Profile
 from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.regression import Line, speed_against_force
+from limbcli.model import Block, ElementMap, Mesh
 from limbcli.numbers.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth
 from limbcli.reporting.figures.hysteresis_loops import Loop, cycles
-from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
-from limbcli.reporting.figures.profiles import ProfileCurve, profile_figure
 from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed_maps
-from limbcli.reporting.figures.speed_over_stretch import StateReading, StatesPanel, states_figure
-from limbcli.reporting.figures.stiffness import StiffnessSection, stiffness_figure
-from limbcli.reporting.figures.study import StudyRow, study_figure
 from limbcli.reporting.figures.style import plain_log
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_text, wave_speed
 from limbcli.reporting.fit_view import EstimateView
+from limbcli.stages.report_pages.index import StudyRow, study_figure
 
 DEPTH = np.linspace(0, 10, 11)
 MEASURED = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1)
@@ -46,16 +48,9 @@ def maps(n: int, *, measured: bool) -> list[LevelMaps]:
     return [LevelMaps(k, 2.0 * k, own, other) for k in range(n)]
 
 
-def tetrahedron() -> StiffnessSection:
+def tetrahedron() -> Mesh:
     points = np.array([[0.0, -1, 0], [9, 1, 0], [0, 1, -9], [9, -1, -9]])
-    return StiffnessSection(
-        points=points,
-        kind="tet4",
-        cells=np.arange(4)[None],
-        c_kpa=np.array([8.0]),
-        lateral=DEPTH,
-        depth=DEPTH,
-    )
+    return Mesh(points, (Block("tissue", "tet4", np.arange(4)[None]),))
 
 
 def figures() -> dict[str, Figure]:
@@ -68,7 +63,9 @@ def figures() -> dict[str, Figure]:
         "wave speed": wave_speed(SPEEDS, against_force=line, against_depth=None),
         "predicted speed": wave_speed(None, predicted=PredictedSpeeds(DEPTH, DEPTH, 2.0 + 0.1 * DEPTH)),
         "speed maps": speed_maps(maps(7, measured=True)),
-        "stiffness": stiffness_figure(tetrahedron()),
+        "stiffness": stiffness_figure(
+            tetrahedron(), ElementMap("c", "tissue", np.array([0.008])), SweMap(DEPTH, DEPTH, DEPTH)
+        ),
         "walk": fit_walk([walk]),
         "newton": newton_residuals(Residuals(np.array([9.0, 0.1, 3.0, 0.2]), np.array([1, 1, 2, 2]))),
     }
@@ -137,31 +134,14 @@ def test_an_undefined_r2_is_said_in_words():
 @pytest.mark.parametrize(("low", "high"), [(0.01, 1000.0), (1.0, 190.0), (3.0, 40.0)])
 def test_labels_of_a_profile_do_not_touch(low, high):
     values = np.geomspace(low, high, 20)
-    curves = [ProfileCurve(name, values, np.linspace(0, 5, 20), low) for name in ("f_kappa", "m")]
-    figure = profile_figure(curves)
+    curves = {name: profile(name, values, np.linspace(0, 5, 20)) for name in ("f_kappa", "m")}
+    figure = profile_figure(curves, np.array([low, low]), THRESHOLD_95)
     FigureCanvasAgg(figure).draw()
     for axes in figure.axes:
         boxes = [each.get_window_extent() for each in axes.get_xticklabels() if each.get_text()]
         inside = [each for each in boxes if axes.bbox.x0 <= (each.x0 + each.x1) / 2 <= axes.bbox.x1]
         assert len(inside) >= 2
         assert all(one.x1 < other.x0 for one, other in pairwise(inside))
-
-
-def test_profile_is_shaded_to_where_it_crosses_the_limit():
-    values = np.linspace(1.0, 9.0, 33)
-    crossing = 2.0 * np.sqrt(THRESHOLD_95)
-    whole = ProfileCurve("m", values, ((values - 5.0) / 2.0) ** 2, 5.0)
-    open_above = ProfileCurve(
-        "f_kappa", values, np.where(values < 5.0, ((values - 5.0) / 2.0) ** 2, 0.0), 5.0
-    )
-    estimated = ProfileCurve("m", values, whole.deviance, 5.0, limit=2.25)
-    reported = ProfileCurve("m", values, whole.deviance, 9.5, interval=(1.5, 9.5))
-    panels = profile_figure([whole, open_above, estimated, reported]).axes
-    ends_of = [(5.0 - crossing, 5.0 + crossing), (5.0 - crossing, 9.0), (2.0, 8.0), (1.5, 9.5)]
-    for axes, ends in zip(panels, ends_of, strict=True):
-        (shade,) = axes.patches
-        low, high = shade.get_x(), shade.get_x() + shade.get_width()
-        assert (low, high) == pytest.approx(ends, abs=0.02)
 
 
 def test_sites_of_a_cohort_are_labelled_as_they_are_named():
@@ -199,9 +179,12 @@ def test_no_legend_lies_over_what_is_drawn():
         unloaded=1.0,
         lowest=None,
     )
+    place = np.geomspace(1.0, 20.0, 20)
+    valley = profile("m", place, np.log(place / 4.0) ** 2)
     for figure in (
         force_depth(measured, [curve("start", 9.0), curve("ogden", 1.5)]),
-        fit_walk(walks), cycles(loops), states_figure([panel]), profile_figure([valley("m")]),
+        fit_walk(walks), cycles(loops), states_figure([panel]),
+        profile_figure({"m": valley}, np.array([4.0]), THRESHOLD_95),
         wave_speed(SPEEDS, against_force=Line(0.05, 2.0, None, None, 3), against_depth=None),
     ):  # fmt: skip
         drawn(figure)
@@ -212,9 +195,9 @@ def test_no_legend_lies_over_what_is_drawn():
             assert 0 <= box.x0 < box.x1 <= figure.bbox.x1 + 1
 
 
-def valley(name: str) -> ProfileCurve:
-    values = np.geomspace(1.0, 20.0, 20)
-    return ProfileCurve(name, values, np.log(values / 4.0) ** 2, 4.0)
+def profile(name: str, values: np.ndarray, deviance: np.ndarray) -> Profile:
+    low, high = values[0], values[-1]
+    return Profile(name, values, deviance, values[:, None], low, high, False, False, values)
 
 
 def test_a_misfit_of_nothing_does_not_squeeze_the_others():
@@ -343,7 +326,7 @@ def test_force_before_contact_is_no_less_than_nothing_on_speed_maps():
 
 def test_layers_of_a_single_level_are_seen():
     one = np.array([[1.5, 6.0]])
-    left, right = layers_figure(LayerPicture(np.array([4.0]), ("skin", "fat"), one, one, 0.2)).axes
+    left, right = layers_figure(np.array([4.0]), ("skin", "fat"), one, one, 0.2).axes
     bands = [each for each in left.collections if each.get_label().endswith("predicted")]
     for band, ends in zip(bands, ((0.0, 1.5), (1.5, 7.5)), strict=True):
         corners = band.get_paths()[0].vertices

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.reporting.outcome import Failure, Outcome
-from limbcli.reporting.sections.socket_pressure import socket
+from limbcli.reporting.sections.limb import socket
 from limbcli.results import StageResult
 
 ROW = {

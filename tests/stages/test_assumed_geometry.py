@@ -24,7 +24,7 @@ from limbcli.results import read_result
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.check import check
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from limbcli.stages.mesh import MeshRequest, mesh
 from limbcli.stages.report import report
 from limbcli.stages.run import run
@@ -151,9 +151,11 @@ def test_a_diagnosis_takes_the_fits_doubt_or_says_that_there_is_none(chain):
 
 def test_a_joint_fit_says_once_what_is_assumed_and_once_that_its_intervals_do_not_allow_for_it(chain):
     case, out = chain
-    joint = JointOptions(law="neo-hooke", gain_deviation=0.03, max_solves=0)
-    options = FitOptions(c_kpa=8.0, contact_check=False, boundary_check=False)
-    warnings = fit_joint(case, out=out, joint=joint, options=options).warnings
+    options = FitOptions(
+        c_kpa=8.0, contact_check=False, boundary_check=False, law="neo-hooke", gain_deviation=0.03,
+        max_interval_solves=0,
+    )  # fmt: skip
+    warnings = fit_joint(case, out=out, options=options).warnings
     assert sum(case.imaging.assumed in each for each in warnings) == 1
     assert warnings.count(NOT_ALLOWED_FOR) == 1
 

@@ -343,9 +343,9 @@ def on_demand(tmp_path: Path, calls: list[str], monkeypatch: pytest.MonkeyPatch)
             ask(Case.open(case), writer, out, sites)
             writer.data.update(data)
 
-    def joint(case: Case, *, out: Path, sites, joint, options, **_) -> None:
+    def joint(case: Case, *, out: Path, sites, options, **_) -> None:
         calls.append("fit-joint")
-        requested.append({"law": joint.law, "compare": joint.compare_laws, "c_kpa": options.c_kpa})
+        requested.append({"law": options.law, "compare": options.compare_laws, "c_kpa": options.c_kpa})
         leave("fit-joint", None, JOINT, tuple(sites))
 
     def elements(case: Case, *, out: Path, sites, options, **_) -> None:

@@ -30,9 +30,7 @@ def test_stage_is_fresh_until_its_key_or_its_files_change(tmp_path: Path):
 def test_sites_remember_side_by_side(tmp_path: Path):
     """Each has a file of its own: what two processes remember at once is not lost."""
     make(tmp_path)
-    Memory(tmp_path).remember("mesh", "p1", "of an earlier version")
     first, second = Memory(tmp_path, site="p1"), Memory(tmp_path, site="p2")
-    assert first.is_fresh("mesh", "p1", "of an earlier version")
     first.remember("mesh", "p1", "key")
     second.keep_requested("mesh", "p2", {"size": 3.0})
     assert Memory(tmp_path, site="p1").is_fresh("mesh", "p1", "key")

@@ -28,7 +28,7 @@ from limbcli.progress import Progress
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from tests.stages import block_case as block
 
 BOTH = {0: "f_kappa", 1: "m"}
@@ -162,10 +162,10 @@ def test_a_joint_fit_counts_its_boundaries_as_an_uncertain_gain_of_the_force(tmp
     case = block.make_case(
         tmp_path / "case", tmp_path / "out", DEPTHS, forces, c=0.008, speeds=speeds, model=cut_from_a_limb()
     )
-    joint, widths = JointOptions(max_solves=2, gain_deviation=0.01), []
+    usual, widths = FitOptions(contact_check=False, max_interval_solves=2, gain_deviation=0.01), []
     for checked in (False, True):
-        options = FitOptions(contact_check=False, boundary_check=checked)
-        data = fit_joint(case, out=tmp_path / "out", joint=joint, options=options).data
+        options = replace(usual, boundary_check=checked)
+        data = fit_joint(case, out=tmp_path / "out", options=options).data
         assert data["c_kpa"] == pytest.approx(8.0, rel=0.01)
         low, high = data["interval_95"]["f_kappa"]
         widths.append(high / low)

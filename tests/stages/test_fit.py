@@ -15,6 +15,7 @@ from limbcli.case import Case
 from limbcli.config import shares
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.feb.read import read_feb
+from limbcli.fitting import force_curves
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.inference.prediction import SolvedPoints
@@ -257,9 +258,10 @@ def test_side_by_side_keeps_the_order_and_raises_errors(case, tmp_path):
 
 
 @pytest.mark.parametrize("cores", [1, 2, 5])
-def test_febio_runs_use_the_cores_and_never_more(cores, case, tmp_path):
+def test_febio_runs_use_the_cores_and_never_more(cores, case, tmp_path, monkeypatch):
+    monkeypatch.setattr(force_curves, "available_cores", lambda: cores)
     model = read_feb(tmp_path / "out" / "build-feb" / "p1" / "model.feb")
-    files = FileCurve(FebioSolver(), model, c=TRUTH["c"], cores=cores)
+    files = FileCurve(FebioSolver(), model, c=TRUTH["c"])
     gate, now, most = threading.Lock(), [0], [0]
 
     def run(theta: np.ndarray) -> float:

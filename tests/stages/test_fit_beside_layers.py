@@ -24,7 +24,7 @@ from limbcli.site_model.site_layers import LayerLaw, with_layer_laws
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from limbcli.stages.fit_states import identify
 from tests.stages import block_case
 from tests.stages.test_site_layers import layered_block
@@ -89,9 +89,11 @@ def case_beside_fat(folder: Path) -> Case:
 def test_the_joint_fit_finds_the_tissue_beside_fat(tmp_path: Path) -> None:
     """Begun at another c; with forces in proportion to c it would be a seventh too low."""
     case = case_beside_fat(tmp_path)
-    options = FitOptions(c_kpa=1000 * C0, c_deviation=0.001, contact_check=False, boundary_check=False)
-    joint = JointOptions(max_solves=12, gain_deviation=1e-4)
-    found = fit_joint(case, out=tmp_path / "out", joint=joint, options=options)
+    options = FitOptions(
+        c_kpa=1000 * C0, c_deviation=0.001, contact_check=False, boundary_check=False, gain_deviation=1e-4,
+        max_interval_solves=12,
+    )  # fmt: skip
+    found = fit_joint(case, out=tmp_path / "out", options=options)
     assert found.data["c_kpa"] == pytest.approx(1000 * TRUE_C, rel=0.005)
     assert any("the shear-wave speeds determine c" in each for each in found.warnings)
     assert found.data["f_kappa"] == pytest.approx(SHAPE[0], rel=0.01)

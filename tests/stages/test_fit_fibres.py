@@ -12,8 +12,8 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
-from limbcli.fitting.fibre_orientations import share_along, undetermined
 from limbcli.fitting.fibre_rest_speed import rest_speed
+from limbcli.fitting.fibre_uncertainty import share_along, undetermined
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import FIBRE_F_KAPPA, LAWS, law_named
 from limbcli.materials.energy import program_energy
@@ -28,7 +28,7 @@ from limbcli.site_model.model_simplification import softer_jumps
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, check_choice
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from limbcli.stages.report import report
 from tests.stages import block_case as block
 
@@ -36,7 +36,7 @@ C, SHAPE = 0.006, np.array([3.0, 1.0, 0.5])  # MPa; m, fibre_shear, fibre_tensio
 DEPTHS = np.array([0.9, 1.8, 2.7, 3.6])
 ALONG = {"across": (0.0, 1.0, 0.0), "along": (1.0, 0.0, 0.0)}  # the fibres in each probe's frame
 LAW = LAWS["fibres"]
-OPTIONS = FitOptions(contact_check=False, boundary_check=False)
+OPTIONS = FitOptions(contact_check=False, boundary_check=False, law="fibres")
 SECOND = """
 [[site]]
 name = "along"
@@ -172,7 +172,7 @@ def case_and_out(measured, tmp_path_factory) -> tuple[Case, Path]:
 @pytest.fixture(scope="module")
 def both(case_and_out) -> StageResult:
     case, out = case_and_out
-    return fit_joint(case, out=out, joint=JointOptions(law="fibres", max_solves=3), options=OPTIONS)
+    return fit_joint(case, out=out, options=replace(OPTIONS, max_interval_solves=3))
 
 
 @pytest.mark.slow
@@ -224,9 +224,7 @@ def test_the_page_and_the_febio_file_hold_the_fibres(case_and_out, both):
 def test_one_orientation_is_told_what_it_leaves_open(case_and_out, both):
     """After both, because it replaces their result: the interval of fibre_shear is wider by far."""
     case, out = case_and_out
-    alone = fit_joint(
-        case, out=out, sites=["across"], joint=JointOptions(law="fibres", max_solves=1), options=OPTIONS
-    )
+    alone = fit_joint(case, out=out, sites=["across"], options=replace(OPTIONS, max_interval_solves=1))
     assert any("all records are across the fibres" in each for each in alone.warnings)
     assert any("with the probe turned by 90 degrees" in each for each in alone.warnings)
 
@@ -249,7 +247,7 @@ def test_words_of_orientations():
 
 def test_the_law_speaks_to_the_joint_fit_alone_and_is_known_by_name():
     with pytest.raises(CaseError, match="has no effect"):
-        check_choice("force", compare_element=False, solver="auto", joint_only=["--law"])
+        check_choice("force", FitOptions(law="fibres"))
     assert law_named("fibres") is LAW
     assert LAWS["ogden"].along((1.0, 0.0, 0.0)) is LAWS["ogden"]
 

@@ -21,7 +21,7 @@ from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.fit import FitOptions, check_choice
 from limbcli.stages.fit_elements import compare_elements
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from tests.stages import block_case as block
 
 pytestmark = pytest.mark.slow
@@ -56,7 +56,7 @@ def case_and_out(measured, tmp_path_factory):
 @pytest.fixture(scope="module")
 def joint(case_and_out):
     case, out = case_and_out
-    return fit_joint(case, out=out, joint=JointOptions(max_solves=6))
+    return fit_joint(case, out=out, options=FitOptions(max_interval_solves=6))
 
 
 @pytest.mark.slow
@@ -146,7 +146,7 @@ def test_laws_are_compared_by_what_they_did_not_see(case_and_out, monkeypatch):
     case, out = case_and_out
     three = {name: LAWS[name] for name in ("ogden", "mooney-rivlin", "neo-hooke")}
     monkeypatch.setattr("limbcli.stages.fit_joint.LAWS", three)
-    result = fit_joint(case, out=out, joint=JointOptions(compare_laws=True, max_solves=1), options=UNCHECKED)
+    result = fit_joint(case, out=out, options=replace(UNCHECKED, compare_laws=True, max_interval_solves=1))
     errors = {row["law"]: row["held_out_depth_mm"] for row in result.data["laws"]}
     assert set(errors) == set(three)
     assert errors["ogden"] < 0.5 * errors["mooney-rivlin"]
@@ -180,8 +180,8 @@ def second_without_speeds(measured, tmp_path_factory):
 def test_c_is_told_by_the_speeds_of_one_site_of_two(second_without_speeds, joint):
     """What is given by hand, for both or at `build-feb` of the other, is only where the search begins."""
     case, out = second_without_speeds
-    options = replace(UNCHECKED, c_kpa=12.0)
-    found = fit_joint(case, out=out, joint=JointOptions(max_solves=2), options=options)
+    options = replace(UNCHECKED, c_kpa=12.0, max_interval_solves=2)
+    found = fit_joint(case, out=out, options=options)
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.02)
     assert found.data["chi_square"] < 0.1
     assert any(text.startswith("--c-kpa 12: the shear-wave speeds determine c") for text in found.warnings)
@@ -220,9 +220,9 @@ def test_wrong_choices_are_refused_with_a_fix():
     with pytest.raises(CaseError, match="did you mean 'ogden'"):
         law_named("ogdn")
     with pytest.raises(CaseError, match="force, joint or states"):
-        check_choice("both", compare_element=False, solver="auto")
+        check_choice("both", FitOptions())
     with pytest.raises(CaseError, match="reference solver supports it"):
-        check_choice("joint", compare_element=False, solver="febio")
+        check_choice("joint", FitOptions(), solver="febio")
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_a_mesh_study_says_the_numerical_error(case_and_out):
     case, out = case_and_out
     with open_stage(out, "mesh-study", subject="B1", site="p1") as writer:
         writer.data["numerical_error_fraction"] = 0.021
-    result = fit_joint(case, out=out, joint=JointOptions(law="mooney-rivlin", max_solves=0))
+    result = fit_joint(case, out=out, options=FitOptions(law="mooney-rivlin", max_interval_solves=0))
     shutil.rmtree(out / "mesh-study")
     assert result.data["gain_deviations"] == {"p1": 0.021}
 

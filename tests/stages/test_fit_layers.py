@@ -13,16 +13,15 @@ from limbcli.feb.settings import schedule
 from limbcli.fitting import layer_comparison as fitted_layers
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS
-from limbcli.fitting.layer_comparison import PredictedLayers
+from limbcli.fitting.layer_comparison import PredictedLayers, layers_figure
 from limbcli.measurement.levels import Levels
-from limbcli.reporting.figures.layer_borders import LayerPicture, layers_figure
 from limbcli.reporting.sections.layer_deformation import layers
 from limbcli.results import open_stage
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.material_lines import material_lines
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, fit
-from limbcli.stages.fit_joint import JointOptions, fit_joint
+from limbcli.stages.fit_joint import fit_joint
 from tests.stages import block_case as block
 
 C, SHAPE = 0.008, np.array([20.0, 5.0])
@@ -145,8 +144,8 @@ def test_soft_fat_is_told_by_the_fit(truth, tmp_path):
 def test_the_joint_fit_uses_layers_and_finds_the_truth(truth, tmp_path):
     case = layered_case(tmp_path, truth)
     found = fit_joint(
-        case, out=tmp_path / "out", joint=JointOptions(max_solves=4),
-        options=FitOptions(contact_check=False, boundary_check=False),
+        case, out=tmp_path / "out",
+        options=FitOptions(contact_check=False, boundary_check=False, max_interval_solves=4),
     )  # fmt: skip
     assert found.data["n_layer_readings"] == 8
     assert found.data["c_kpa"] == pytest.approx(8.0, rel=0.01)
@@ -159,11 +158,11 @@ def test_the_joint_fit_uses_layers_and_finds_the_truth(truth, tmp_path):
 
 
 def test_the_figure_shows_every_layer():
-    shown = LayerPicture(
+    shown = layers_figure(
         np.array([0.0, 4.0]), ("skin", "fat"), np.array([[1.5, 6.0], [1.4, np.nan]]),
         np.array([[1.5, 6.0], [1.4, 4.8]]), 0.2,
     )  # fmt: skip
-    left, right = layers_figure(shown).axes
+    left, right = shown.axes
     named = [each.get_text() for each in left.get_legend().get_texts()]
     assert named[:2] == ["skin, predicted", "fat, predicted"]
     assert left.yaxis_inverted()

@@ -26,7 +26,7 @@ def test_options_of_every_kind_of_fit_are_taken_again(kind):
     given = ALL.requested(kind)
     compared = kind == COMPARISON
     objective = "force" if compared else kind
-    check_choice(objective, compare_element=compared, solver="auto", options=FitOptions(**given))
+    check_choice(objective, FitOptions(**given), compare_element=compared)
     assert {"contact_check", "boundary_check"} <= set(given) or kind in ("states", COMPARISON)
 
 

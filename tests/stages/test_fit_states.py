@@ -21,7 +21,7 @@ from limbcli.results import StageResult
 from limbcli.site_model.site_states import states_of
 from limbcli.stages.expect import compare
 from limbcli.stages.fit import FitOptions, check_choice
-from limbcli.stages.fit_states import StatesOptions, fit_states, knots
+from limbcli.stages.fit_states import fit_states, knots
 from limbcli.stages.report import report
 from tests.stages import block_case as block
 from tests.stages import state_case
@@ -29,7 +29,7 @@ from tests.stages import state_case
 pytestmark = pytest.mark.slow
 
 WAY, UNLOADED = state_case.WAY, f"unloaded_stretch_{state_case.WAY}"
-OPTIONS = StatesOptions(gain_deviation=0.03, max_rounds=1)
+OPTIONS = FitOptions(gain_deviation=0.03, max_interval_solves=1)
 
 
 @pytest.fixture(scope="module")
@@ -53,7 +53,7 @@ def case_and_out(levels, tmp_path_factory) -> tuple[Case, Path]:
 @pytest.fixture(scope="module")
 def fitted(case_and_out) -> StageResult:
     case, out = case_and_out
-    return fit_states(case, out=out, states=OPTIONS)[0]
+    return fit_states(case, out=out, options=OPTIONS)[0]
 
 
 def holds(interval, value: float) -> bool:
@@ -144,7 +144,9 @@ def test_states_on_one_slope_leave_the_lowest_point_open(levels, tmp_path):
     text = case.file.read_text().replace("swe_level_fraction = 0.03", "swe_level_fraction = 0.5")
     case.file.write_text(text.replace("depth_mm = 0.05", "depth_mm = 2.0"))
     found = fit_states(
-        Case.open(case.folder), out=tmp_path / "out", states=StatesOptions(gain_deviation=0.3, max_rounds=0)
+        Case.open(case.folder),
+        out=tmp_path / "out",
+        options=FitOptions(gain_deviation=0.3, max_interval_solves=0),
     )[0]
     least = found.data["least_stiffness"][WAY]
     assert not least["told"]
@@ -163,11 +165,11 @@ def test_knots_reach_a_little_beyond_the_deepest_state(case_and_out):
 
 
 def test_states_are_asked_for_by_name_and_only_where_there_are_any(case_and_out, tmp_path):
-    check_choice("states", compare_element=False, solver="auto", joint_only=["--law"])
+    check_choice("states", FitOptions(law="fibres"))
     with pytest.raises(CaseError, match="laws are compared by the joint fit only"):
-        check_choice("states", compare_element=False, solver="auto", joint_only=["--compare-laws"])
+        check_choice("states", FitOptions(compare_laws=True))
     with pytest.raises(CaseError, match="use force, joint or states"):
-        check_choice("state", compare_element=False, solver="auto")
+        check_choice("state", FitOptions())
     plain = block.make_case(
         tmp_path / "case", tmp_path / "out", np.array([1.0, 2.0]), np.array([1.0, 2.5]), c=0.006, build=False
     )

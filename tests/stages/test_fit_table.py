@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from limbcli.fitting import joint_picture
 from limbcli.fitting import result as fit_result
 from limbcli.fitting.result import summarise, write_agreement, write_curves
 from limbcli.fitting.table import Identified, step_agreement, step_table, total_covariance
@@ -15,7 +16,6 @@ from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import Profile
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
-from limbcli.reporting.figures import profiles
 from limbcli.results import open_stage, read_result
 from tests.loading import module_at
 
@@ -31,7 +31,7 @@ def test_a_standard_error_is_the_scatter_of_fits_also_where_noise_is_larger_than
     for _ in range(14):
         force = limb.force(KNOTS, C, 50.0, 5.0, "tet4") + larger * 0.1 * rng.standard_normal(len(KNOTS))
         data = ForceDepth(force, KNOTS, 0.1, 0.0)
-        steps = two_step(CurveMatch(memory, KNOTS, data), guided=False)
+        steps = two_step(CurveMatch(memory, KNOTS, data))
         whole = Identified(memory, KNOTS, data, Stiffness(C, 0.0), "", steps[0].theta, steps, None, 0.0)
         found.append(np.log(steps[-1].theta[1]))
         stated.append(np.sqrt(total_covariance(whole, steps[-1])[2, 2]))
@@ -44,7 +44,7 @@ def found_of(depth, force, **options):
     knots = np.unique(depth[depth > 0.0])
     memory = SolvedPoints(limb.curve(knots, C, "tet4"))
     data = ForceDepth(force, depth, 0.1, 0.1)
-    steps = two_step(CurveMatch(memory, knots, data), guided=False)
+    steps = two_step(CurveMatch(memory, knots, data))
     start = np.array([100.0, 2.0])
     return Identified(memory, knots, data, Stiffness(C, 0.1), "", start, steps, None, 0.0, **options)
 
@@ -97,11 +97,13 @@ def test_profiles_are_shaded_as_far_as_the_intervals_that_are_told(tmp_path, mon
     depth = np.array([0.0, 3.0, 6.0, 9.0])
     found = replace(found_of(depth, np.array([0.0, 6.2, 14.6, 28.0])), intervals=(reported, reported))
     drawn = []
-    monkeypatch.setattr(profiles, "profile_figure", drawn.append)
+    monkeypatch.setattr(joint_picture, "save_figure", lambda figure, _: drawn.append(figure))
     monkeypatch.setattr(fit_result, "save_figure", lambda *_: None)
     site = SimpleNamespace(noise=SimpleNamespace(depth=0.1, force=0.1))
     fit_result.draw_fit(found, site, SimpleNamespace(file=lambda *_: tmp_path))
-    assert [each.interval for each in drawn[0]] == [(1.2, 9.0)] * 2
+    for axes in drawn[0].axes:
+        (shade,) = axes.patches
+        assert (shade.get_x(), shade.get_width()) == pytest.approx((1.2, 9.0 - 1.2))
 
 
 @pytest.mark.parametrize(

@@ -44,9 +44,10 @@ def test_sites_without_speeds_or_layers_have_panels_that_say_so(monkeypatch):
     kept: list[Figure] = []
     monkeypatch.setattr(joint_picture, "save_figure", lambda figure, path: kept.append(figure))
     writer = SimpleNamespace(file=lambda key, name: name)
+    found = SimpleNamespace(profiles={}, best=np.zeros(0), threshold=3.84)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        joint_picture.draw_joint(sites, predict, SimpleNamespace(profiles={}), writer)
+        joint_picture.draw_joint(sites, predict, found, writer)
     words = [[each.get_text() for each in axes.texts] for axes in kept[0].axes]
     assert words == [[], [], [], [], ["no speeds enter"], ["no layers enter"]]
     assert not len(kept[0].axes[4].get_xticks())

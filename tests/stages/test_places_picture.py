@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 
 from limbcli.meshing.mending import mend
 from limbcli.meshing.surfaces import Triangles
-from limbcli.stages.segmenting import places_picture
+from limbcli.stages.segmenting import site_grid
 from limbcli.stages.segmenting.site_grid import GridPoint, grid_points
 
 
@@ -37,10 +37,10 @@ def drawn(
     markers: dict[str, np.ndarray] | None = None,
 ) -> tuple[Figure, list[GridPoint]]:
     kept: list[Figure] = []
-    monkeypatch.setattr(places_picture, "save_picture", lambda figure, *_, **__: kept.append(figure))
+    monkeypatch.setattr(site_grid, "save_picture", lambda figure, *_, **__: kept.append(figure))
     limb = mend(slanted_limb(), [])
     grid = grid_points(limb)
-    places_picture.draw_places(Path("a.png"), limb, grid, markers or {}, sites, title=title)
+    site_grid.draw_places(Path("a.png"), limb, grid, markers or {}, sites, title=title)
     FigureCanvasAgg(kept[0]).draw()
     return kept[0], grid
 

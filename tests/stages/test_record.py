@@ -13,7 +13,7 @@ from limbcli.provenance.chain_inputs import noted
 from limbcli.provenance.staleness import Chain
 from limbcli.reporting.outcome import read_outcomes
 from limbcli.results import open_stage, read_result, sealed
-from limbcli.stages.report_pages.stale import _altered_pictures
+from limbcli.stages.report_pages.material import _altered_pictures
 from tests.case.test_case_text import two_sites
 
 

@@ -25,11 +25,16 @@ from limbcli.reporting.numbers import significant
 from limbcli.reporting.page import render
 from limbcli.reporting.sections.convergence import profiles
 from limbcli.reporting.sections.joint_fit import joint, laws
-from limbcli.reporting.sections.next_steps import next_steps
+from limbcli.reporting.sections.next_steps import (
+    SourcedWarning,
+    WarningKind,
+    changes_of,
+    next_steps,
+    warning_groups,
+)
 from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.unloaded_state import states
-from limbcli.reporting.sections.warning_box import SourcedWarning, WarningKind, changes_of, warning_groups
 from limbcli.results import open_stage, read_result, sealed
 from limbcli.stages.batching.outcome import keep_error
 from limbcli.stages.report import report
@@ -666,31 +671,18 @@ def test_a_damaged_force_depth_curve_becomes_words(tmp_path, content):
     assert any("force-depth.csv" in each and "was changed since" in each for each in found.warnings)
 
 
-def test_a_result_older_than_its_source_is_told(tmp_path):
+@pytest.mark.parametrize(("before", "after"), [("mesh", "mesh-study"), ("build-feb", "diagnose")])
+def test_a_result_older_than_one_that_it_does_not_record_is_told(tmp_path, before, after):
     case, out = make_case(tmp_path / "case"), tmp_path / "out"
-    add_fit(out, "p1")
-    path = out / "fit" / "p1" / "fit.json"
-    content = json.loads(path.read_text())
-    content["provenance"]["finished_utc"] = "2001-01-01T00:00:00Z"
-    path.write_text(json.dumps(sealed(content)))
-    add_mesh(out, "p1")
-    assert any("fit p1" in text and "older" in text for text in gather(case, out=out).notices)
-
-
-def test_a_fit_of_the_very_model_is_not_called_old(tmp_path):
-    """A batch writes the same model again; a fit made by hand before it stays true."""
-    case, out = make_case(tmp_path / "case"), tmp_path / "out"
-    add_fit(out, "p1")
-    with open_stage(out, "build-feb", subject="S1", site="p1") as writer:
-        writer.data["model_sha256"] = "0123"
-    path = out / "fit" / "p1" / "fit.json"
-    content = json.loads(path.read_text())
-    content["provenance"]["finished_utc"] = "2001-01-01T00:00:00Z"
-    path.write_text(json.dumps(sealed(content)))
-    assert any("fit p1" in text and "older" in text for text in gather(case, out=out).notices)
-    content["provenance"]["inputs_sha256"]["model"] = "0123"
-    path.write_text(json.dumps(sealed(content)))
+    for stage in (before, after):
+        with open_stage(out, stage, subject="S1", site="p1"):
+            pass
     assert not any("older" in text for text in gather(case, out=out).notices)
+    path = out / after / "p1" / f"{after}.json"
+    content = json.loads(path.read_text())
+    content["provenance"]["finished_utc"] = "2001-01-01T00:00:00Z"
+    path.write_text(json.dumps(sealed(content)))
+    assert any(f"“{after} p1”" in text and "older" in text for text in gather(case, out=out).notices)
 
 
 @pytest.mark.slow
@@ -810,21 +802,6 @@ def test_laws_of_a_joint_fit_that_failed_since_are_not_shown(tmp_path):
 def test_what_was_not_made_on_demand_is_not_missed(whole):
     ids = {attrs["id"] for _, attrs in whole[1].tags if "id" in attrs}
     assert not ids & {"fit-joint", "laws", "fit-elements-p1", "mesh-study-p1"}
-
-
-@pytest.mark.slow
-def test_a_joint_fit_older_than_its_model_is_told(tmp_path):
-    case, out = make_case(tmp_path / "case"), tmp_path / "out"
-    add_on_demand(out)
-    with open_stage(out, "build-feb", subject="S1", site="p1"):
-        pass
-    path = out / "fit-joint" / "fit-joint.json"
-    content = json.loads(path.read_text())
-    content["provenance"]["finished_utc"] = "2020-01-01T00:00:00Z"
-    path.write_text(json.dumps(sealed(content)))
-    page = Page(report(case, out=out).path("page").read_text(encoding="utf-8"))
-    assert "“fit-joint” (2020-01-01T00:00:00Z) is older than that of “build-feb p1”" in page.text
-    assert "--objective joint" in page.text
 
 
 @pytest.mark.slow

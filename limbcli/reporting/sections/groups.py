@@ -13,19 +13,16 @@ from limbcli.reporting.sections.convergence import convergence, profiles
 from limbcli.reporting.sections.deformation import deformation
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
-from limbcli.reporting.sections.fibre_direction import fibres
 from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.joint_fit import joint, laws
 from limbcli.reporting.sections.layer_deformation import layers
-from limbcli.reporting.sections.limb import limb
-from limbcli.reporting.sections.mesh import mesh
+from limbcli.reporting.sections.limb import limb, socket
 from limbcli.reporting.sections.methods import methods
-from limbcli.reporting.sections.numerics import elements, mesh_study
+from limbcli.reporting.sections.numerics import elements, fibres, mesh, mesh_study
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.provenance import provenance
 from limbcli.reporting.sections.repeatability import repeated_loading
 from limbcli.reporting.sections.segmentation import segmentation
-from limbcli.reporting.sections.socket_pressure import socket
 from limbcli.reporting.sections.unloaded_state import states
 
 

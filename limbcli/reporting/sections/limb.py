@@ -1,13 +1,17 @@
-"""Is the model of the whole limb right: its shape, its named parts, and its stiffness?"""
+"""The whole limb as a model, and pressure and shear on its skin in the socket."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
+import numpy as np
+
+from limbcli.reporting.figures.scene import pressure_scene
 from limbcli.reporting.numbers import DASH, quantity
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, pictures_of, table
+from limbcli.reporting.reportlet import Cell, PageTable, Picture, Reportlet, pictures_of, table
 from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.results import StageResult
 
@@ -57,3 +61,59 @@ def _left_out(field: Mapping[str, Any] | None) -> tuple[PageTable, ...]:
         rows.append((each["site"], c, Cell(predicted), Cell(inside)))
     names = ("site left out", "its c", "c from the others (95 %)", "interval")
     return (table("Each site predicted without itself, kPa", names, rows),) if rows else ()
+
+
+_SCENE = ("points", "displacement", "triangles", "pressure_kpa")
+_COLUMNS = ("mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa")
+
+
+@of_stage("socket", "socket", "How does the socket press on the limb?")
+def socket(result: StageResult, _: ReportData) -> Reportlet:
+    """Pressure and shear by patch."""
+    return Reportlet(
+        mood="warning" if result.warnings else "neutral",
+        pictures=_pictures(result),
+        tables=(_table(result.data),),
+        look_for="pressure spread over the patches that bear load, and forces that leave nothing over",
+        bad="a rim of high pressure at the brim or the proximal cut, pressure on single facets, or skin far "
+        "behind the wall: then mesh or contact decide, not the limb",
+        notes=result.summary,
+        warned=result.warnings,
+    )
+
+
+def _pictures(result: StageResult) -> tuple[Picture, ...]:
+    """Pictures of the states, and a 3-D view of the last one (its picture, where there is no WebGL)."""
+    alt = "Pressure on the skin from four sides and unrolled about the limb's axis."
+    names = [name for name in result.files if name.startswith("picture_")]
+    found = pictures_of(result, {name: (name.replace("_", "-"), alt) for name in names})
+    if not found or "skin" not in result.files or not result.path("skin").is_file():
+        return found
+    alt = "Pressure on the skin under the last load."
+    return (*found, replace(found[-1], name="socket-3d", alt=alt, scene=_scene(result)))
+
+
+def _scene(result: StageResult) -> dict[str, Any]:
+    with np.load(result.path("skin")) as stored:
+        return pressure_scene(**{name: stored[name] for name in _SCENE})
+
+
+def _table(data: Mapping[str, Any]) -> PageTable:
+    limits = {
+        (each["load_n"], each["patch"], each["quantity"]): (each["low"], each["high"])
+        for each in (data.get("intervals") or {}).get("patches", ())
+    }
+    rows: list[tuple[Cell | str, ...]] = []
+    for each in data["patches"]:
+        load, patch = each["load_n"], each["patch"]
+        cells = [_cell(each[name], limits.get((load, patch, name))) for name in _COLUMNS]
+        when = f"{load:g} N" if load else "donned"
+        area = quantity(each["contact_area_mm2"] / 100.0, "cm²", digits=2)
+        rows.append((f"{when}: {patch.replace('_', ' ')}", area, *cells))
+    names = ("load and patch", "in contact", "mean", "95th percentile", "peak", "mean shear")
+    return table("Pressure and shear on the skin, kPa (95 % over the limb's draws)", names, rows)
+
+
+def _cell(value: float, limits: tuple[float, float] | None) -> Cell:
+    ends = "" if limits is None else f" ({limits[0]:.1f} to {limits[1]:.1f})"
+    return Cell(f"{value:.1f}{ends}")

@@ -13,15 +13,15 @@ from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import MOOD_WORDS, Mood, Picture, worst_mood
 from limbcli.reporting.sections.diagnosis import in_short
-from limbcli.reporting.sections.next_steps import next_steps
-from limbcli.reporting.sections.parameters import parameter_warnings
-from limbcli.reporting.sections.warning_box import (
+from limbcli.reporting.sections.next_steps import (
     SourcedWarning,
     WarningGroup,
     WarningKind,
     changes_of,
+    next_steps,
     warning_groups,
 )
+from limbcli.reporting.sections.parameters import parameter_warnings
 
 
 @dataclass(frozen=True)

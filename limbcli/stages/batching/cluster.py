@@ -100,10 +100,7 @@ def threads_of(jobs: int) -> int:
 def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterator[Client]:
     """A client of the cluster at that address, or of `jobs` local processes, which end with the context.
 
-    Raises
-    ------
-    ToolError
-        If Dask is not installed, no scheduler answers, or a worker may not be used.
+    Raises ToolError if Dask is not installed, no scheduler answers, or a worker may not be used.
     """
     if not is_installed():
         raise ToolError(
@@ -133,10 +130,7 @@ def connected(*, scheduler: str | None, jobs: int, progress: Progress) -> Iterat
 def _local(jobs: int, folder: str) -> LocalCluster:
     """Start local processes; waiting parts queue at the scheduler and are not lost with a process.
 
-    Raises
-    ------
-    ToolError
-        If they do not start, e.g. because each new process would run the calling script again.
+    Raises ToolError if they do not start, e.g. because each new process would run the calling script again.
     """
     import dask
     from distributed import LocalCluster
@@ -181,10 +175,7 @@ def _at(scheduler: str) -> Client:
 def refuse_unlike(client: Client) -> None:
     """Check all currently connected workers.
 
-    Raises
-    ------
-    ToolError
-        If any of them runs different code from this process, or several parts at a time.
+    Raises ToolError if any of them runs different code from this process, or several parts at a time.
     """
     found = client.run(_standing, on_error="return")
     refused = {address: why for address, each in sorted(found.items()) if (why := _why_not(each))}
@@ -213,10 +204,7 @@ def _why_not(found: WorkerStanding | BaseException) -> str:
 def refuse_other(client: WorkerStanding) -> None:
     """Check this worker before it runs a part; it may have joined after `refuse_unlike`.
 
-    Raises
-    ------
-    WorkerRefused
-        If this worker does not meet the client's requirements.
+    Raises WorkerRefused if this worker does not meet the client's requirements.
     """
     from distributed import get_worker
 

@@ -95,17 +95,11 @@ def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...
 def _remade_joint(
     case: Case, out: Path, found: StageResult, sites: tuple[str, ...], progress: Progress
 ) -> Callable[[], object]:
-    from limbcli.stages.fit_joint import JointOptions, fit_joint
+    from limbcli.stages.fit_joint import fit_joint
 
-    requested = _requested(found)
-    joint = JointOptions(
-        law=str(found.data.get("law", "ogden")), compare_laws=bool(found.data.get("laws")),
-        gain_deviation=requested.get("gain_deviation"),
-    )  # fmt: skip
-    return lambda: fit_joint(
-        case, out=out, sites=list(sites), joint=joint, options=options_of(FitOptions, requested),
-        progress=progress,
-    )  # fmt: skip
+    laws = {"law": str(found.data.get("law", "ogden")), "compare_laws": bool(found.data.get("laws"))}
+    options = options_of(FitOptions, {**_requested(found), **laws})
+    return lambda: fit_joint(case, out=out, sites=list(sites), options=options, progress=progress)
 
 
 def _remade_elements(

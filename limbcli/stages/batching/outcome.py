@@ -7,9 +7,9 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limbcli.errors import LimbError
+from limbcli.errors import LimbcliError
 from limbcli.files.atomic import atomic_file
-from limbcli.results import ERROR_FILE, plain, stage_folder
+from limbcli.results import ERROR_FILE, error_json, stage_folder
 
 _KEPT = ("segment",)  # result is kept on failure, as it shows whether the label map has been edited since
 
@@ -38,10 +38,19 @@ class BatchOptions:
 
 
 @dataclass(frozen=True)
-class StepFailure:
+class FailedStage:
+    """A failed stage of a case, and the reason.
+
+    Attributes
+    ----------
+    stage : name such as "fit"; "" where the case could not be started or an expectation is not met
+    site : None for a stage of the whole subject
+    error : with message, where and fix
+    """
+
     stage: str
     site: str | None
-    error: LimbError
+    error: LimbcliError
 
     @property
     def place(self) -> str:
@@ -63,7 +72,7 @@ class CaseOutcome:
     ran: list[str] = field(default_factory=list)
     fresh: list[str] = field(default_factory=list)
     kept: dict[str, str] = field(default_factory=dict)
-    failures: list[StepFailure] = field(default_factory=list)
+    failures: list[FailedStage] = field(default_factory=list)
     report: Path | None = None
     begun: bool = True
 
@@ -90,7 +99,7 @@ class CaseOutcome:
 
 
 def keep_error(
-    out: Path, stage: str, site: str | None, error: LimbError, *, keep_result: bool = False
+    out: Path, stage: str, site: str | None, error: LimbcliError, *, keep_result: bool = False
 ) -> None:
     """Write a stage's failure where the report finds it, and remove the stale result.
 
@@ -105,14 +114,3 @@ def keep_error(
     finally:  # even if the disk is full
         if not keep_result and stage not in _KEPT:
             (folder / f"{stage}.json").unlink(missing_ok=True)
-
-
-def error_json(error: LimbError) -> dict[str, Any]:
-    return {
-        "error": type(error).__name__,
-        "exit_code": error.exit_code,
-        "what": error.what,
-        "where": error.where,
-        "fix": error.fix,
-        "facts": json.loads(json.dumps(plain(error.facts), default=str)),
-    }

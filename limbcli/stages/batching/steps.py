@@ -10,11 +10,11 @@ from typing import Any
 from limbcli.case import Case
 from limbcli.progress import Progress
 from limbcli.provenance.requested_options import Requested, options_of
+from limbcli.reporting.outcome import SITE_STAGES
 from limbcli.results import stage_folder
 from limbcli.solvers import identity
 from limbcli.stages.batching.outcome import BatchOptions
 
-SITE_STAGES = ("mesh", "build-feb", "run", "fit")
 FIT_STATES = "fit-states"  # run after the other stages, for a site that has states
 
 
@@ -70,18 +70,13 @@ def site_steps(
         ),
     ]
     if case.site(name).states:
+        from limbcli.stages.fit_states import fit_states
+
         several = requested.get(FIT_STATES, {})
         parts = (*steps[-1].parts, *parts_of(several))
-        steps.append(SiteStep(FIT_STATES, parts, _states_fit(case, several, common)))
+        of_states = options_of(FitOptions, several)
+        steps.append(SiteStep(FIT_STATES, parts, lambda: fit_states(case, options=of_states, **common)))
     return steps
-
-
-def _states_fit(case: Case, requested: Requested, common: Mapping[str, Any]) -> Callable[[], object]:
-    from limbcli.stages.fit import FitOptions
-    from limbcli.stages.fit_states import StatesOptions, fit_states
-
-    states, options = options_of(StatesOptions, requested), options_of(FitOptions, requested)
-    return lambda: fit_states(case, states=states, options=options, **common)
 
 
 def parts_of(requested: Requested) -> tuple[object, ...]:

@@ -66,10 +66,7 @@ class SelfTest:
 def self_test(solver: Solver, *, progress: Progress = SILENT) -> SelfTest:
     """Write, run and read the indentation with a solver, and compare it with the closed-form solution.
 
-    Raises
-    ------
-    LimbError
-        If the solver cannot be started or ends without a result.
+    Raises LimbError if the solver cannot be started or ends without a result.
     """
     began = time.monotonic()
     with scratch_folder() as folder:

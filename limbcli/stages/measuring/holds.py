@@ -11,8 +11,7 @@ import numpy as np
 
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem
-from limbcli.measurement.hold_cycles import cycles_of_holds
-from limbcli.measurement.holds import Hold, find_holds, missing_levels, without_probe_weight
+from limbcli.measurement.holds import Hold, cycles_of_holds, find_holds, missing_levels, without_probe_weight
 from limbcli.measurement.indentation import check_values
 from limbcli.measurement.recording import RecordingFormat, read_recording
 from limbcli.measurement.trace import Trace
@@ -32,10 +31,7 @@ def force_columns(table: Mapping[str, Any], writer: StageWriter) -> Columns:
 
     table : [site.load_cell]
 
-    Raises
-    ------
-    MeasurementError
-        If the record cannot be read, or contains no hold.
+    Raises MeasurementError if the record cannot be read, or contains no hold.
     """
     from limbcli.measurement.instrument_pictures import draw_holds
 

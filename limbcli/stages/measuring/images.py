@@ -196,10 +196,7 @@ def within_tissue(
 
     table : [site.swe_images]
 
-    Raises
-    ------
-    MeasurementError
-        If a level has no such pixels.
+    Raises MeasurementError if a level has no such pixels.
     """
     lateral = tuple(table["roi_lateral_mm"] or (-np.inf, np.inf))
     stated = tuple(table["roi_depth_mm"]) if table["roi_depth_mm"] else None

@@ -1,12 +1,15 @@
-"""measure: skin, fat and muscle on the B-mode images, as columns of levels.csv."""
+"""measure: skin, fat and muscle on the B-mode images, as columns of levels.csv, and the fibres' pennation."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from limbcli.errors import MeasurementError
 from limbcli.measurement.bmode import BoneLine
 from limbcli.measurement.bmode_layers import Stated, follow_borders
+from limbcli.measurement.instrument_pictures import draw_pennation
+from limbcli.measurement.pennation import read_pennation
 from limbcli.measurement.ultrasound_image import UltrasoundImage
 from limbcli.results import StageWriter
 
@@ -18,10 +21,7 @@ def read_borders(
 ) -> dict[str, list[BoneLine]]:
     """Track the layers' lower borders that [site.b_mode] gives at level 0; by name. Adds a summary.
 
-    Raises
-    ------
-    MeasurementError
-        As `follow_borders`.
+    Raises MeasurementError as `follow_borders`.
     """
     stated: dict[str, Stated] = {
         name: table[f"{name}_mm"] for name in _FOLLOWED if table.get(f"{name}_mm") is not None
@@ -50,3 +50,33 @@ def layer_columns(
     if len(borders) == len(_FOLLOWED):
         columns["muscle_mm"] = [line.distance - top for line, top in zip(bone, above, strict=True)]
     return columns
+
+
+_ABOVE_BONE = 2.0  # mm above the bone line that are excluded because of the bone's echo
+_SKIN_AND_FAT = 0.25  # assumed depth of the fat's border as a fraction of the bone's, if it was not read
+
+
+def write_pennation(
+    image: UltrasoundImage, borders: Mapping[str, Sequence[BoneLine]], bone: BoneLine, writer: StageWriter
+) -> None:
+    """Write `pennation` of measure.json with its figure and how to use it, or why it could not be read."""
+    fat = borders.get("fat")
+    top = fat[0].distance if fat else _SKIN_AND_FAT * bone.distance
+    try:
+        found = read_pennation(image, top=top, bottom=bone.distance - _ABOVE_BONE)
+    except MeasurementError as error:
+        writer.data["pennation"] = {"told": False, "why": error.what}
+        writer.summary.append(f"pennation: {error.what}")
+        return
+    draw_pennation(image, found, writer.file("pennation_picture", "pennation.png"))
+    writer.data["pennation"] = {
+        "told": True, "pennation_deg": found.angle_deg, "deviation_deg": found.deviation_deg,
+        "spread_deg": found.spread_deg, "coherence": found.coherence, "n_tiles": len(found.tile_deg),
+        "from_mm": top, "to_mm": bone.distance - _ABOVE_BONE,
+    }  # fmt: skip
+    use = f"pennation_deg = {found.angle_deg:.1f}, deviation_deg = {found.deviation_deg:.1f}"
+    writer.summary.append(
+        f"pennation {found.angle_deg:.1f} deg in the image (deviation {found.deviation_deg:.1f}; tiles "
+        f"spread by {found.spread_deg:.1f}), positive: deeper to the right; if the image is along "
+        f"the fibres, use it: [[site.pennation]] {use}"
+    )

@@ -3,22 +3,29 @@
 from __future__ import annotations
 
 import json
+import os
+import textwrap
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote
 
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
 from limbcli.drawing import data_file, write_data
 from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
 from limbcli.progress import SILENT, Progress
-from limbcli.reporting.figures.study import study_figure
-from limbcli.reporting.figures.style import style
-from limbcli.reporting.fit_view import FitView, read_fit_view
-from limbcli.reporting.index import HEADINGS, IndexRow, relative, study_rows
-from limbcli.reporting.outcome import Failure, failure_of
+from limbcli.reporting.figures.style import INK, literal, new_figure, plain_log, style
+from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
+from limbcli.reporting.numbers import DASH, cell
+from limbcli.reporting.outcome import SITE_STAGES, Failure, failure_of
 from limbcli.reporting.page import data_uri, render
-from limbcli.reporting.reportlet import worst_mood
+from limbcli.reporting.reportlet import Cell, Mood, worst_mood
+from limbcli.reporting.sections.parameters import interval_text, with_verdict
 from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, provenance, read_result, stage_folder
 
 INDEX_FILE = "index.html"
@@ -44,10 +51,7 @@ class IndexResult:
 def report_index(folder: Path, *, templates: Path | None = None, progress: Progress = SILENT) -> IndexResult:
     """Write `<folder>/index.html`: one row per site of every subject with results below `folder`.
 
-    Raises
-    ------
-    CaseError
-        If the folder is absent or holds no subject's results.
+    Raises CaseError if the folder is absent or holds no subject's results.
     """
     if not folder.is_dir():
         raise CaseError(
@@ -89,7 +93,7 @@ def _picture(rows: list[IndexRow], folder: Path) -> str:
     return data_uri(svg)
 
 
-_OF_CASE, _OF_SITES = ("segment", "report"), ("mesh", "build-feb", "run", "fit")
+_OF_CASE = ("segment", "report")
 
 
 def _is_output(folder: Path) -> bool:
@@ -102,7 +106,7 @@ def _is_output(folder: Path) -> bool:
     own = [stage_folder(folder, stage) / f"{stage}.json" for stage in _OF_CASE]
     if any(each.is_file() for each in (*own, stage_folder(folder, _OF_CASE[0]) / ERROR_FILE)):
         return True
-    return any(any(stage_folder(folder, stage).glob(f"*/{stage}.json")) for stage in _OF_SITES)
+    return any(any(stage_folder(folder, stage).glob(f"*/{stage}.json")) for stage in SITE_STAGES)
 
 
 def _rows(out: Path, folder: Path) -> list[IndexRow]:
@@ -174,3 +178,143 @@ def _row_without_report(out: Path, error: CaseError) -> IndexRow:
         return row
     shown = Failure("CaseError", error.what, error.where, error.fix)
     return replace(row, mood="failed", state=error.what, failures=(shown,))
+
+
+@dataclass(frozen=True, kw_only=True)
+class IndexRow:
+    """One site of one subject; `link` is relative to the index page, "" if there is no report.
+
+    assumed : which part of the geometry was not imaged, in words; "" if all was
+    older : in words, that the report shows another fit than this one; "" if it shows this one
+    """
+
+    folder: str
+    subject: str
+    site: str
+    mood: Mood
+    state: str
+    n_warnings: int
+    link: str
+    view: FitView | None = None
+    failures: tuple[Failure, ...] = ()
+    assumed: str = ""
+    older: str = ""
+
+    @property
+    def word(self) -> str:
+        """The state in one or two words."""
+        if self.failures:
+            return "failed"
+        if self.view is None:
+            return "failed" if self.mood == "failed" else "not fitted"
+        return {"bad": "poor fit", "doubtful": "doubtful fit", "untested": "not tested"}.get(
+            self.view.whole.state, "fitted"
+        )
+
+    @property
+    def cells(self) -> tuple[Cell, ...]:
+        """c, m with interval, κ′, R2 and misfit of the Ogden type; dashes give the state as their reason."""
+        step = self.view.last if self.view else None
+        if self.view is None or step is None:
+            return (Cell(DASH, reason=self.state, span=6),)
+        m = step.estimate("m")
+        interval = Cell(DASH, reason=m.interval_why if m and m.interval_why else "not computed")
+        if m is not None and (m.low is not None or m.high is not None):
+            interval = Cell(interval_text(m))
+        return (
+            cell(step.c_kpa),
+            with_verdict(cell(step.m), m),
+            interval,
+            with_verdict(cell(step.kappa_kpa), step.kappa),
+            cell(step.r2, digits=4),
+            cell(step.rmse_n, digits=2),
+        )
+
+
+def study_rows(rows: Sequence[IndexRow]) -> list[StudyRow]:
+    """Estimates of c, m and kappa' for all fitted sites."""
+    found = []
+    for row in rows:
+        step = row.view.last if row.view else None
+        if step is None:
+            continue
+        c = next((each for each in step.estimates if each.name == "c"), None)
+        known = {"c": c, "m": step.estimate("m"), "κ′": step.kappa}
+        own = f" ({row.folder})" if row.folder != row.subject else ""
+        label = f"{row.subject}{own} {row.site}".strip()
+        found.append(StudyRow(label, {name: each for name, each in known.items() if each is not None}))
+    return found
+
+
+HEADINGS = (
+    "subject", "site", "state", "warnings", "c [kPa]", "m [–]", "m, 95 % interval [–]", "κ′ [kPa]",
+    "R² [–]", "misfit (RMS) [N]",
+)  # fmt: skip
+
+
+def relative(page: Path, folder: Path) -> str:
+    """Address of a page relative to a folder, with forward slashes."""
+    return Path(os.path.relpath(page, folder)).as_posix()
+
+
+_COLUMNS = (("c", "c [kPa]"), ("m", "m [–]"), ("κ′", "κ′ [kPa]"))
+_OPEN = "#8a8a8a"
+_NAME_WIDTH = 28  # characters per line of a label
+
+
+@dataclass(frozen=True)
+class StudyRow:
+    """Label of a site, and its estimates of c, m and kappa', by symbol."""
+
+    label: str
+    estimates: dict[str, EstimateView]
+
+
+def study_figure(rows: Sequence[StudyRow]) -> Figure:
+    """One row per site, one panel per parameter: a dot with its interval if the data determine a value, else
+    an arrow on the side that is not excluded."""
+    with style():
+        names = [textwrap.fill(row.label, _NAME_WIDTH) for row in rows]
+        lines = max((name.count("\n") + 1 for name in names), default=1)
+        figure = new_figure(9.2, 1.5 + (0.2 + 0.14 * lines) * max(len(rows), 2))
+        panels = figure.subplots(1, len(_COLUMNS), sharey=True)
+        for axes, (name, label) in zip(panels, _COLUMNS, strict=True):
+            for k, row in enumerate(rows):
+                if name in row.estimates:
+                    _draw(axes, k, row.estimates[name], literal(row.label))
+            drawn = any(_is_drawn(row.estimates.get(name)) for row in rows)
+            if drawn:
+                axes.set_xscale("log")
+                plain_log(axes.xaxis, few=True)
+            else:
+                axes.set_xticks([])
+                axes.text(0.5, 0.5, "not known", ha="center", transform=axes.transAxes, color=_OPEN)
+            axes.set(xlabel=label)
+            axes.grid(True, axis="x", linewidth=0.4, alpha=0.5)
+        panels[0].set_yticks(range(len(rows)), [literal(name) for name in names], fontsize=8.5)
+        panels[0].set_ylim(len(rows) - 0.5, -0.5)
+        marks = [
+            Line2D([], [], color=INK, marker="o", markersize=5, lw=1.4, label="value, 95 % interval"),
+            Line2D([], [], color=_OPEN, marker="|", markersize=7, lw=1.4, label="no value, within (95 %)"),
+            Line2D([], [], color=_OPEN, marker=9, ms=8, lw=0, label="no value, beyond this end (95 %)"),
+        ]
+        figure.legend(handles=marks, loc="outside lower center", ncols=3, fontsize=8.5)
+    return figure
+
+
+def _is_drawn(each: EstimateView | None) -> bool:
+    return each is not None and bool(each.low or each.high or (each.is_sound and each.value))
+
+
+def _draw(axes: Axes, k: int, each: EstimateView, name: str) -> None:
+    plot, within = axes.plot, f"{name}, 95 %"
+    if each.is_sound and each.value:
+        if each.low and each.high:
+            plot([each.low, each.high], [k, k], color=INK, lw=1.4, label=within)
+        plot([each.value], [k], "o", color=INK, markersize=5, label=name)
+    elif each.low and each.high:
+        plot([each.low, each.high], [k, k], "|-", color=_OPEN, lw=1.4, markersize=7, label=within)
+    elif each.low:
+        plot([each.low], [k], marker=9, color=_OPEN, markersize=8, label=f"{name}, above")
+    elif each.high:
+        plot([each.high], [k], marker=8, color=_OPEN, markersize=8, label=f"{name}, below")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -12,20 +11,24 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import LimbError, MeasurementError
 from limbcli.errors.problems import errors_of
+from limbcli.files.atomic import sha256
+from limbcli.fitting.fitted_cycle import contradiction
 from limbcli.measurement.indentation import Levels, check_levels, level_warnings
 from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
+from limbcli.measurement.repeated_loading import CycleStudy
 from limbcli.model.patient_frame import side_of
 from limbcli.progress import SILENT, Progress
+from limbcli.provenance.remaking_command import commands
+from limbcli.provenance.staleness import BrokenLink, Chain
 from limbcli.reporting.figures.force_depth import MeasuredCurve
+from limbcli.reporting.figures.hysteresis_loops import Loop
 from limbcli.reporting.figures.wave_speed import SpeedReadings
 from limbcli.reporting.outcome import Outcome, Outcomes, read_outcomes
-from limbcli.reporting.report_data import ReportData, SiteMaterial
+from limbcli.reporting.report_data import CycleMaterial, ReportData, SiteMaterial
 from limbcli.results import UNLIKE_OURS, StageResult
-from limbcli.site_model.site_levels import layer_noise
-from limbcli.stages.report_pages.loading_cycles import cycle_material
-from limbcli.stages.report_pages.simulated_state import read_deformed, read_residuals
-from limbcli.stages.report_pages.site_on_limb import limb_place, limb_skin
-from limbcli.stages.report_pages.stale import stale_results
+from limbcli.site_model.cycle_words import capital, cycle_sentences
+from limbcli.site_model.site_levels import cycles_of, layer_noise
+from limbcli.stages.report_pages.simulated_state import limb_place, limb_skin, read_deformed, read_residuals
 
 
 def gather(case: Case, *, out: Path, progress: Progress = SILENT) -> ReportData:
@@ -126,37 +129,23 @@ def _sides(meshed: StageResult | None) -> tuple[str, str] | None:
         return None
 
 
-_ORDER = ("segment", "mesh", "build-feb", "run", "fit")
-_EXTRA = (("mesh", "mesh-study"), ("build-feb", "fit-elements"), ("build-feb", "diagnose"))
+# Results that a stage resembles or uses if it is there, without recording it as an input.
+_NOT_RECORDED = (("mesh", "mesh-study"), ("build-feb", "diagnose"))
 
 
 def _older_results(outcomes: Outcomes, sites: Sequence[str]) -> list[str]:
-    """Sentences on results older than those they build on, if they do not record their inputs."""
-    pairs: list[tuple[Outcome | None, Outcome | None]] = []
-    for site in sites:
-        chain = [outcomes.of("segment"), *(outcomes.of(stage, site) for stage in _ORDER[1:])]
-        if _is_of_the_model(outcomes.of("build-feb", site), outcomes.of("fit", site)):
-            chain.pop()
-        pairs += pairwise(each for each in chain if each.result)
-        pairs += [(outcomes.of(before, site), outcomes.maybe(after, site)) for before, after in _EXTRA]
-        joint = outcomes.maybe("fit-joint")
-        if joint and joint.result and site in joint.result.data.get("sites", ()):
-            pairs.append((outcomes.of("build-feb", site), joint))
-    reported = [_older(before, after) for before, after in pairs]
+    """Sentences on results older than others that they do not record as their inputs."""
+    reported = [
+        _older(outcomes.of(before, site), outcomes.maybe(after, site))
+        for site in sites
+        for before, after in _NOT_RECORDED
+    ]
     return [each for each in reported if each]
 
 
-def _is_of_the_model(built: Outcome, fitted: Outcome) -> bool:
-    """Whether a fit was made from the existing model file, regardless of the file's time."""
-    if built.result is None or fitted.result is None:
-        return False
-    model = built.result.data.get("model_sha256")
-    return model is not None and fitted.result.provenance.get("inputs_sha256", {}).get("model") == model
-
-
-def _older(before: Outcome | None, after: Outcome | None) -> str:
+def _older(before: Outcome, after: Outcome | None) -> str:
     """The sentence for a result made before the one that it builds on; empty otherwise."""
-    if before is None or after is None or before.result is None or after.result is None:
+    if after is None or before.result is None or after.result is None:
         return ""
     if before.label in after.result.provenance.get("made_from", {}).get("results", {}):
         return ""
@@ -166,4 +155,62 @@ def _older(before: Outcome | None, after: Outcome | None) -> str:
     return (
         f"The result of “{after.label}” ({late}) is older than that of “{before.label}” ({early}) "
         f"on which it is based; run it again: {after.command}"
+    )
+
+
+def cycle_material(site: Site, levels: Levels, fitted: int | None) -> CycleMaterial | None:
+    """Loops and sentences of all cycles; None if the tissue was loaded once and not unloaded.
+
+    levels : of all cycles; fitted : the cycle used by `fit`, None if there is no fit
+    """
+    if len(levels.cycles) == 1 and levels.loading.all():
+        return None
+    study = cycles_of(site, levels)
+    against = study.contradicting(fitted) if fitted is not None else ()
+    return CycleMaterial(
+        loops=tuple(_loop(levels, study, cycle) for cycle in levels.cycles),
+        sentences=tuple(cycle_sentences(site, levels, study)),
+        settled=study.repeats_from is not None or len(levels.cycles) == 1,
+        contradiction=capital(contradiction(against[0])) + "." if against else "",
+    )
+
+
+def _loop(levels: Levels, study: CycleStudy, cycle: int) -> Loop:
+    mine = levels.cycle == cycle
+    up, down = (np.flatnonzero(mine & each) for each in (levels.loading, ~levels.loading))
+    there, back = ((levels.depth[rows], levels.force[rows]) for rows in (up, down))
+    energy = study.energy.get(cycle)
+    if energy is None:
+        return Loop(cycle, there, back)
+    return Loop(cycle, there, back, energy.lost, energy.lost_deviation, energy.share)
+
+
+def stale_results(case: Case, out: Path, outcomes: Outcomes) -> list[str]:
+    """Sentences on what has changed, which results are out of date, and the commands that update them."""
+    chain = Chain(case, out)
+    causes: dict[str, list[tuple[str, BrokenLink]]] = {}
+    for outcome in outcomes.done:
+        assert outcome.result is not None
+        broken = chain.broken(outcome.result)
+        if broken is not None:
+            causes.setdefault(broken.what, []).append((outcome.label, broken))
+    return [_sentence(case, out, what, found) for what, found in causes.items()] + _altered_pictures(outcomes)
+
+
+def _altered_pictures(outcomes: Outcomes) -> list[str]:
+    """Sentences on pictures of the page that are no longer what their stage drew."""
+    return [
+        f"{path.name}, drawn by `{result.label}`, was changed since ({path}): the page shows it as it is now"
+        for result in (each.result for each in outcomes.done if each.result is not None)
+        for name, digest in result.provenance.get("pictures_sha256", {}).items()
+        if (path := result.path(name)).is_file() and sha256(path) != digest
+    ]
+
+
+def _sentence(case: Case, out: Path, what: str, found: list[tuple[str, BrokenLink]]) -> str:
+    labels = ", ".join(f"“{label}”" for label, _ in found)
+    steps = [step for _, broken in found for step in broken.steps]
+    return (
+        f"{what[0].upper()}{what[1:]} ({found[0][1].where}): what is shown of {labels} is out of date "
+        f"with the case; run {commands(steps, case.folder, out)}"
     )

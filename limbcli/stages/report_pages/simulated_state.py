@@ -1,4 +1,4 @@
-"""The simulated state of a site, read from a stage's model and records for the report."""
+"""Where a site is on its limb, and its simulated state, read from results of stages for the report."""
 
 from __future__ import annotations
 
@@ -7,16 +7,19 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.errors import SolveError
+from limbcli.case import Case, Site
+from limbcli.errors import LimbError, SolveError
 from limbcli.feb.log import LogReader
 from limbcli.feb.outline import read_outline
 from limbcli.feb.read import read_feb
-from limbcli.measurement.strain import principal_stretches
+from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.progress import PROGRESS_FILE, read_events
 from limbcli.reporting.figures.convergence import Residuals
 from limbcli.reporting.figures.deformed import DeformedState
-from limbcli.results import StageResult
+from limbcli.reporting.figures.limb_views import LimbPlace
+from limbcli.reporting.outcome import Outcomes
+from limbcli.results import UNLIKE_OURS, StageResult
 from limbcli.solvers.record_tables import read_tables
 from limbcli.solvers.solver import LOG_FILE, MODEL_FILE, Table
 
@@ -27,10 +30,7 @@ _GRADIENT = tuple(f"F{row}{column}" for row in "xyz" for column in "xyz")
 def read_deformed(result: StageResult) -> DeformedState | None:
     """The last converged state of a stage's simulation, or None if there is none.
 
-    Raises
-    ------
-    LimbError
-        If model or records cannot be read, or contain no displacements.
+    Raises LimbError if model or records cannot be read, or contain no displacements.
     """
     feb = next((path for name in _MODEL_FILES if (path := result.folder / name).is_file()), None)
     if feb is None:
@@ -146,3 +146,84 @@ def read_residuals(result: StageResult) -> Residuals | None:
         return None
     steps, now, target = np.array(found, dtype=float).T
     return Residuals(now / target, steps.astype(np.int64))
+
+
+def principal_stretches(deformation_gradient: Array) -> Array:
+    """Principal stretches: the singular values of F, largest first.
+
+    1 is the undeformed length; 0.8 is a shortening by 20 % in that direction.
+
+    Parameters
+    ----------
+    deformation_gradient : array, shape (..., 3, 3)
+
+    Returns
+    -------
+    array, shape (..., 3), dimensionless
+
+    >>> principal_stretches(np.diag([0.5, 2.0, 1.0]))
+    array([2. , 1. , 0.5])
+    """
+    stretches = np.linalg.svd(deformation_gradient, compute_uv=False)
+    return np.asarray(stretches, dtype=np.float64)
+
+
+_NEAR_MM = 15.0  # the part of the skin, along the limb, whose middle tells which way is outwards
+
+
+def limb_skin(outcomes: Outcomes) -> Triangles | None:
+    """The skin that `segment` wrote, or None if there is none that can be read."""
+    segmented = outcomes.of("segment").usable
+    if segmented is None or "skin" not in segmented.files:
+        return None
+    try:
+        return read_surface(segmented.path("skin"))
+    except (LimbError, OSError, ValueError):
+        return None
+
+
+def limb_place(case: Case, site: Site, skin: Triangles | None, outcomes: Outcomes) -> LimbPlace | None:
+    """The site on the skin; None without a skin, or if the site's position is not known."""
+    if skin is None:
+        return None
+    try:
+        framed = _framed(case, site, skin, outcomes.of("mesh", site.name).usable)
+        return framed or _unframed(case, site, skin, outcomes.of("segment").usable)
+    except UNLIKE_OURS:
+        return None
+
+
+def _framed(case: Case, site: Site, skin: Triangles, meshed: StageResult | None) -> LimbPlace | None:
+    """The place with the probe's face, as `mesh` found it."""
+    if meshed is None or "frame" not in meshed.data:
+        return None
+    frame = meshed.data["frame"]
+    place, outward, along = (np.array(frame[key], float) for key in ("skin_point_mm", "normal", "long_axis"))
+    across = np.cross(outward, along)
+    half = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * [case.probe.length / 2, case.probe.width / 2]
+    return LimbPlace(
+        name=site.name, limb=case.limb, points=skin.points, triangles=skin.faces, place=place,
+        outward=outward, face=place + half @ np.stack([along, across]),
+    )  # fmt: skip
+
+
+def _unframed(case: Case, site: Site, skin: Triangles, segmented: StageResult | None) -> LimbPlace | None:
+    """The place that the case states or a marker has, before `mesh`."""
+    place = site.position
+    if place is None and segmented is not None:
+        markers = {each["number"]: each["position_mm"] for each in segmented.data.get("markers", ())}
+        place = markers.get(site.marker)
+    if place is None:
+        return None
+    point = np.array(place, float)
+    return LimbPlace(
+        name=site.name, limb=case.limb, points=skin.points, triangles=skin.faces, place=point,
+        outward=point - _middle(skin, point),
+    )  # fmt: skip
+
+
+def _middle(skin: Triangles, point: Array) -> Array:
+    """The middle of the limb's section at the height of a point, at that height."""
+    near = skin.points[np.abs(skin.points[:, 2] - point[2]) < _NEAR_MM]
+    middle = (near if len(near) else skin.points).mean(axis=0)
+    return np.array([middle[0], middle[1], point[2]])

@@ -50,10 +50,7 @@ def labelled_limb(case: Case, *, side: Side, progress: Progress = SILENT) -> Lab
     Muscles, bones and fat seldom reach to the skin. Where they do not, the rest of the limb, with its fat and
     markers, is segmented on the image; without one, a warning says what is missing.
 
-    Raises
-    ------
-    CaseError
-        If a file cannot be read or understood, or the image shows no limb.
+    Raises CaseError if a file cannot be read or understood, or the image shows no limb.
     """
     series = None if case.imaging.mri is None else read_image(case.imaging.mri, progress=progress)
     sources = case.imaging.label_maps

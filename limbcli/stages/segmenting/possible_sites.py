@@ -14,8 +14,7 @@ from limbcli.meshing.mending import mend
 from limbcli.meshing.sites_on_skin import place_faults, problem_of, triple
 from limbcli.meshing.surfaces import Triangles
 from limbcli.results import StageResult, StageWriter
-from limbcli.stages.segmenting.places_picture import draw_places
-from limbcli.stages.segmenting.site_grid import grid_points, write_grid
+from limbcli.stages.segmenting.site_grid import draw_places, grid_points, write_grid
 
 PICTURE, TABLE = "site-grid.png", "site-grid.csv"
 

@@ -176,10 +176,7 @@ def without_fragments(
 ) -> tuple[Triangles, list[str]]:
     """The largest piece of a skin's file with what lies inside it, and warnings that name the other pieces.
 
-    Raises
-    ------
-    CaseError
-        If a bone lies in one of the other pieces.
+    Raises CaseError if a bone lies in one of the other pieces.
     """
     body, others = largest_and_fragments(skin)
     for each in others:
@@ -235,10 +232,7 @@ def _whole(bone: Triangles) -> Triangles:
 def _read(path: Path, imaging: Imaging) -> Triangles:
     """The surface of a file, converted as the file states and as case.toml says.
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, or file and case give different units.
+    Raises CaseError if it cannot be read, or file and case give different units.
     """
     surface = read_surface(path)
     factor = _factor(path, imaging)
@@ -307,10 +301,7 @@ def _is_drawn(surface: Triangles) -> bool:
 def read_body(path: Path, imaging: Imaging = _AS_STATED) -> tuple[Triangles, list[str]]:
     """The skin of a file as given, with outward normals, and warnings; imaging : its unit and side.
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, or its size is not that of a limb in mm.
+    Raises CaseError if it cannot be read, or its size is not that of a limb in mm.
     """
     surface, left_out = without_fragments(_in_mm(_read(path, imaging), "skin", path), path, {})
     turned, warnings = _turned(surface, "skin", path)

@@ -135,10 +135,7 @@ def _measured_site(raw: Mapping[str, Any], noise: Mapping[str, float]) -> dict[s
 def borders_at_rest(segmented: StageResult, site: Site) -> Array:
     """Depths (2,) of the lower borders of skin and fat below the skin, mm, found by `segment` at a site.
 
-    Raises
-    ------
-    CaseError
-        If `segment` found none.
+    Raises CaseError if `segment` found none.
     """
     layers = (segmented.data.get("layers") or {}).get(site.name)
     if layers is None:

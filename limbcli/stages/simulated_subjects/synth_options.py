@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 
 from limbcli.model import LimbModel
 from limbcli.phantom.protocol import LoadingProtocol
-from limbcli.shear_waves.pixels import Window
 from limbcli.stages.simulated_subjects.hidden_effects import Hidden
 from limbcli.stages.simulated_subjects.indent import KnownTissue
 from limbcli.stages.simulated_subjects.known_stretches import KnownStretches
@@ -39,7 +38,6 @@ class SynthOptions:
     same_mesh: bool = False
     contact_penalty: float | None = None
     protocol: LoadingProtocol = field(default_factory=LoadingProtocol)
-    window: Window = field(default_factory=Window)
     alter: Alter | None = None
     hidden: tuple[Hidden, ...] = ()
     layers: bool = False
