@@ -64,7 +64,7 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
 
     Parameters
     ----------
-    folder : searched recursively; other files (licence, DICOMDIR) are ignored
+    folder : searched recursively; other files (licence, DICOMDIR) are ignored. Or one multi-frame file
 
     Returns
     -------
@@ -98,13 +98,14 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
 
 def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
     """Every DICOM image below `folder`, by name."""
-    if not folder.is_dir():
+    if not folder.exists():
         raise CaseError(
             "the folder of the MRI series does not exist",
             where=str(folder),
             fix="set [imaging] mri in case.toml",
         )
-    paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != "DICOMDIR")
+    below = [folder] if folder.is_file() else folder.rglob("*")
+    paths = sorted(path for path in below if path.is_file() and path.name != "DICOMDIR")
     found, without_pixels, cut = [], 0, []
     for number, path in enumerate(paths, 1):
         dataset = _read(path, number)

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import read_series
+from limbcli.imaging.image_files import read_image
 from limbcli.imaging.volume import Volume
 
 
@@ -457,9 +458,10 @@ def test_an_enhanced_multi_frame_file_is_read(ramp, tmp_path):
     enhanced(tmp_path / "one" / "all.dcm", ramp)
     for extra in (tmp_path / "one" / "single").iterdir():
         extra.unlink()
-    series = read_series(tmp_path / "one")
-    assert np.array_equal(series.volume.values, 2 * ramp.values + 1)
-    np.testing.assert_allclose(series.volume.affine, ramp.affine, atol=1e-6)
+    for path in (tmp_path / "one", tmp_path / "one" / "all.dcm"):
+        series = read_image(path)
+        assert np.array_equal(series.volume.values, 2 * ramp.values + 1)
+        np.testing.assert_allclose(series.volume.affine, ramp.affine, atol=1e-6)
 
 
 def test_frames_without_places_are_told(ramp, tmp_path):

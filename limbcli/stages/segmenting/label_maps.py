@@ -118,7 +118,7 @@ def _up_to_skin(
 
 
 def _widened(labels: Volume, limb: Volume) -> Volume:
-    """The labels on a grid that reaches a voxel beyond the limb beside them; along the limb it stays as it is."""
+    """The labels on a grid that reaches beyond the limb beside them; along the limb it stays as it is."""
     index = np.argwhere(np.isin(limb.values, _LIMB))
     at = labels.to_voxel(limb.to_patient(index.astype(np.float64)))
     along, shape = labels.limb_axis, np.array(labels.shape)
