@@ -53,7 +53,9 @@ image.SharedFunctionalGroupsSequence = item(
 image.PerFrameFunctionalGroupsSequence = [
     item(
         PlanePositionSequence=item(ImagePositionPatient=[0, 0, z]),
-        FrameContentSequence=item(StackID="1", InStackPositionNumber=z // 4 + 1, DimensionIndexValues=[z // 4 + 1]),
+        FrameContentSequence=item(
+            StackID="1", InStackPositionNumber=z // 4 + 1, DimensionIndexValues=[z // 4 + 1]
+        ),
     )[0]
     for z in PLACES
 ]
