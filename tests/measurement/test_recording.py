@@ -203,12 +203,12 @@ def test_our_own_names_go_before_other_words(tmp_path):
     np.testing.assert_allclose(read_recording(path).force, [1.0, 2.0])
 
 
-@pytest.mark.parametrize("first", [-5.0, 0.5])
+@pytest.mark.parametrize("first", [-5.0, 0.6])
 def test_forces_are_turned_only_of_a_record_that_begins_free_and_never_pushes(tmp_path, first):
     """A weight that hangs on the cell also reads below 0."""
     path = tmp_path / "a.csv"
-    path.write_text(f"time_s,force_n\n0,{first}\n1,-5\n2,-2.5\n")
-    np.testing.assert_allclose(read_recording(path).force, [first, -5.0, -2.5])
+    path.write_text(f"time_s,force_n\n0,{first}\n1,-5\n2,-0.1\n")
+    np.testing.assert_allclose(read_recording(path).force, [first, -5.0, -0.1])
 
 
 @pytest.mark.parametrize(
