@@ -200,7 +200,7 @@ def _with_points(cells: list[tuple[int, list[str]]], columns: list[int]) -> list
 def _check_header(
     header: list[str], path: Path, *, required: Collection[str], known: Set[str]
 ) -> list[Problem]:
-    if not known.intersection(header) and not any(header[1:]):
+    if not known & set(header) and not any(header[1:]):
         what = f"the first line, {shown(header[0])}, is not a header"
         fix = f"begin the file with the names of its columns: {','.join(required)}"
         return [problem(what, path, fix, line=1)]

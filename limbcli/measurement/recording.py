@@ -107,7 +107,7 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     _check_time(values["time_s"], path)
     k = positions["time_s"]
     in_file = "s" if _in_clock(sheet, k) else stated_word(sheet.header[k], "time_s", sheet.unit(k), {})
-    unit = form.time_unit or in_file
+    unit = in_file if _in_clock(sheet, k) else form.time_unit or in_file
     averaged = ""
     if in_file is not None and (n := _fast(values["time_s"])):
         values = {name: block_means(each, n) for name, each in values.items()}
@@ -117,8 +117,8 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     if _pulls(values["force_n"]) and "accel_x_g" not in values:
         values["force_n"] = -values["force_n"]
         words.append("its forces are negative: taken as compression, and counted as positive")
-    words = "; ".join(each for each in words if each)
-    return Trace.of(values, path, converted=words)
+    told = "; ".join(each for each in words if each)
+    return Trace.of(values, path, converted=told)
 
 
 def _fast(time: Array) -> int:
