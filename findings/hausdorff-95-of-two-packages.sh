@@ -9,7 +9,7 @@ set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install -q medpy==0.5.2 surface-distance==0.1 'numpy<2' 2>/dev/null
+"$folder/venv/bin/pip" install -q medpy==0.5.2 surface-distance==0.1 2>/dev/null
 "$folder/venv/bin/python" -W ignore - <<'PYTHON'
 import sys
 

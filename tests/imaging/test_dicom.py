@@ -135,6 +135,23 @@ def test_a_missing_slice_is_told_with_its_place(ramp, tmp_path):
     assert error.facts["n_missing"] == 1
 
 
+def test_images_of_two_contrasts_in_one_series_are_told_apart(ramp, tmp_path):
+    """Dixon's method: water and fat have the same places, and often one series."""
+    for stem, kind in (("w", "W"), ("f", "F")):
+        write_dicom(tmp_path, ramp, stem=stem, change=lambda dataset, _, kind=kind: named(dataset, kind))
+    fix = refused(tmp_path).fix
+    n = ramp.shape[2]
+    assert (
+        f"differ in Image Type (0008,0008): DERIVED, PRIMARY, W ({n} images), DERIVED, PRIMARY, F" in fix
+        or (f"DERIVED, PRIMARY, F ({n} images), DERIVED, PRIMARY, W ({n} images)" in fix)
+    )
+
+
+def named(dataset, kind):
+    dataset.ImageType = ["DERIVED", "PRIMARY", kind]
+    dataset.SeriesInstanceUID = "1.2.3"
+
+
 def test_doubled_slices_are_told(ramp, tmp_path):
     write_dicom(tmp_path, ramp)
     write_dicom(tmp_path, ramp, stem="again")
