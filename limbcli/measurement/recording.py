@@ -41,8 +41,8 @@ from limbcli.measurement.trace import (
 from limbcli.model import Array
 
 _UNLOADED = 0.1  # share of the largest force below which a probe is taken as free
-# a time of day, or since the start, with or without its date
-_CLOCK = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)")
+# a time of day, or since the start, with or without its date and time zone
+_CLOCK = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
 _DAY_S = 86_400.0
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _AVERAGED_HZ = 1000.0  # rate to which records are averaged that are faster than plausible ones
