@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from math import nan, pi
+from pathlib import Path
 from typing import Any
 
 from limbcli.case import schema as schema
@@ -43,10 +44,11 @@ def read_imaging(
     }
     labels = read_label_sources(table.get("labels"), reading)
     mri = paths["mri"]
-    if mri and mri.is_file() and not mri.name.lower().endswith(schema.VOLUME_ENDINGS):
+    if mri and mri.is_file() and not _is_image(mri):
         what = f"imaging.mri: {mri.name!r} is neither a folder nor a volume in a supported format"
         fix = (
-            f"give a folder with one DICOM series, or a file that ends in {', '.join(schema.VOLUME_ENDINGS)}"
+            "give a folder with one DICOM series, a multi-frame DICOM file, or a file that ends in "
+            f"{', '.join(schema.VOLUME_ENDINGS)}"
         )
         reading.wrong(what, fix)
     bones = [
@@ -73,6 +75,15 @@ def read_imaging(
         bones=tuple(each for each in bones if each), bone_radius=radius, shape=shape, fibres=fibres,
         fibre_frame=frame, skin_scale=scale, mm_per_unit=length, unit=unit, mirrored=mirrored,
     )  # fmt: skip
+
+
+def _is_image(path: Path) -> bool:
+    """Whether a file may be a volume: by its name, or as DICOM."""
+    if path.name.lower().endswith(schema.VOLUME_ENDINGS):
+        return True
+    from limbcli.files.dicom import has_preamble
+
+    return has_preamble(path)
 
 
 def _contradictions(table: Mapping[str, Any], reading: CaseReading) -> None:

@@ -305,7 +305,7 @@ SUBJECT = {
     "limb": Key("left | right", one_of("left", "right"), required=True),
 }
 IMAGING = {
-    "mri": Key("folder of DICOM files, or a NIfTI, NRRD or MetaImage file", text),
+    "mri": Key("folder of DICOM files, or a multi-frame DICOM, NIfTI, NRRD or MetaImage file", text),
     "labels": Key("file or folder, or a table with it, or a list of such tables", label_sources),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),

@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydicom.datadict import dictionary_description, tag_for_keyword
 from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
@@ -38,6 +39,13 @@ _NAMED = 4  # so many files or values a message names
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # with more distinct series UIDs than this fraction of the images, the UIDs are uninformative
 _DOUBLED = 0.05  # slices closer than this fraction of the slice spacing are duplicates
+# tags that tell apart echoes, the images of Dixon's method, time points and diffusion weightings
+_OF_CONTRAST = (
+    "ImageType", "EchoNumbers", "EchoTime", "InversionTime", "TemporalPositionIdentifier", "DiffusionBValue",
+    "AcquisitionNumber",
+)  # fmt: skip
+_MOST_CONTRASTS = 8
+_PLAIN, _SHORT = str.maketrans("", "", "[]'"), 60  # of a tag's value as it is shown
 # this many gaps that differ by less than this fraction are a spacing of their own
 _RUN, _SAME_GAP = 3, 0.05
 # plausible pixel size and slice spacing of an image of a limb, mm
@@ -64,7 +72,7 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
 
     Parameters
     ----------
-    folder : searched recursively; other files (licence, DICOMDIR) are ignored
+    folder : searched recursively; other files (licence, DICOMDIR) are ignored. Or one multi-frame file
 
     Returns
     -------
@@ -87,7 +95,7 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     heights = np.array([each.position @ normal for each in slices])
     order = np.argsort(heights, kind="stable")
     slices, heights = [slices[n] for n in order], heights[order]
-    step = _slice_step(slices, heights, folder)
+    step = _slice_step(slices, heights, folder, differing=_differing(datasets))
     _plausible(slices[0], step, folder)
     volume, notes = stack(slices, heights, step)
     if turned_over(datasets[0][1]):
@@ -98,13 +106,14 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
 
 def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
     """Every DICOM image below `folder`, by name."""
-    if not folder.is_dir():
+    if not folder.exists():
         raise CaseError(
             "the folder of the MRI series does not exist",
             where=str(folder),
             fix="set [imaging] mri in case.toml",
         )
-    paths = sorted(path for path in folder.rglob("*") if path.is_file() and path.name != "DICOMDIR")
+    below = [folder] if folder.is_file() else folder.rglob("*")
+    paths = sorted(path for path in below if path.is_file() and path.name != "DICOMDIR")
     found, without_pixels, cut = [], 0, []
     for number, path in enumerate(paths, 1):
         dataset = _read(path, number)
@@ -240,8 +249,25 @@ def _common_normal(slices: list[Slice], folder: Path) -> Array:
     return first.normal
 
 
-def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
-    """The usual slice spacing; duplicate and missing slices are errors."""
+def _differing(datasets: list[tuple[str, Dataset]]) -> str:
+    """By what several images of one position can be told apart, in words; empty if by nothing known."""
+    for keyword in _OF_CONTRAST:
+        found = Counter(
+            str(dataset.get(keyword, "none")).translate(_PLAIN)[:_SHORT] for _, dataset in datasets
+        )
+        if 1 < len(found) <= _MOST_CONTRASTS:
+            tag = tag_for_keyword(keyword) or 0
+            listed = ", ".join(f"{value} ({count} images)" for value, count in found.most_common())
+            name = f"{dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
+            return f"; these differ in {name}: {listed}"
+    return ""
+
+
+def _slice_step(slices: list[Slice], heights: Array, folder: Path, *, differing: str) -> float:
+    """The usual slice spacing; duplicate and missing slices are errors.
+
+    differing : by what the images differ, to be added to the advice
+    """
     gaps = np.diff(heights)
     step = float(np.median(gaps))
     if step <= 0 or (gaps < _DOUBLED * max(step, 1e-6)).any():
@@ -250,7 +276,8 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path) -> float:
         raise CaseError(
             f"{len(pairs)} slices lie at the same position as another: {_some(named)}",
             where=str(folder),
-            fix="remove the duplicate files; several echoes or time points must be separate folders",
+            fix="remove the duplicate files; several echoes, contrasts or time points must be separate "
+            f"folders{differing}",
             n_doubled=len(pairs),
         )
     wide = np.flatnonzero(gaps > _MISSING * step)

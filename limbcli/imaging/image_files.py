@@ -9,6 +9,7 @@ import numpy as np
 
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
+from limbcli.files.dicom import has_preamble
 from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
 from limbcli.imaging.volume import Volume, require_placed
 from limbcli.progress import SILENT, Progress
@@ -23,7 +24,7 @@ _MOST_LABELS, _FEWEST_VOXELS = 32, 10_000
 
 
 def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
-    """A DICOM series (a folder), or a volume file, in patient LPS.
+    """A DICOM series (a folder, or one file of many frames), or a volume file, in patient LPS.
 
     A volume file does not state its modality: it is taken as CT if its air is below -500.
 
@@ -32,14 +33,15 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
     CaseError
         If it cannot be read, or is not one scalar volume of a limb with its position in the patient frame.
     """
-    if path.is_dir():
-        return read_series(path, progress=progress)
     reader = _reader_of(path.name.lower())
+    if path.is_dir() or (reader is None and has_preamble(path)):
+        return read_series(path, progress=progress)
     if reader is None:
         raise CaseError(
             f"{path.name} is not in a supported image format",
             where=str(path),
-            fix=f"give a folder with one DICOM series, or a volume that ends in {', '.join(VOLUME_ENDINGS)}",
+            fix="give a folder with one DICOM series, a multi-frame DICOM file, or a volume that ends in "
+            f"{', '.join(VOLUME_ENDINGS)}",
         )
     volume = _plausible(reader(path), path)
     _require_image(volume, path)

@@ -23,6 +23,12 @@ _OF = {
     "probe_travel": (LENGTH_UNITS_IN_MM, "length_unit", "mm"),
     **{f"accel_{axis}": (ACCELERATION_UNITS_IN_G, "", "g") for axis in "xyz"},
 }
+# what testing machines call them, of columns that state a unit
+_ALSO_CALLED = {
+    "time": "elapsed_time test_time running_time zeit pr\u00fcfzeit",
+    "force": "load axial_force axial_load standard_force compressive_force compressive_load kraft "
+    "standardkraft",
+}
 _IN_BRACKETS = re.compile(r"[\(\[\{]\s*([^()\[\]{}]*?)\s*[\)\]\}]")
 _AT_THE_END = re.compile(r"^(.+?)\s*(?:[/,]|_|\bin\b)\s*([^\s/,_]+)$", re.IGNORECASE)
 
@@ -58,8 +64,10 @@ def stated_unit(title: str, name: str) -> tuple[str, str]:
     return title, ""
 
 
-def matches(title: str, name: str) -> bool:
+def matches(title: str, name: str, *, other_words: bool = False) -> bool:
     """Whether a title is that of one of our columns in a unit that it states: "Time (ms)" for `time_s`.
+
+    other_words : see `is_called`
 
     >>> matches("Time (ms)", "time_s"), matches("Probe travel [cm]", "probe_travel_mm")
     (True, True)
@@ -67,12 +75,16 @@ def matches(title: str, name: str) -> bool:
     False
     """
     bare, unit = stated_unit(title, name)
-    return bool(unit) and is_called(bare, name)
+    return bool(unit) and is_called(bare, name, other_words=other_words)
 
 
-def is_called(title: str, name: str) -> bool:
-    """Whether a title without a unit is that of one of our columns: "Time" for `time_s`."""
-    return "_".join(title.lower().split()) == quantity(name)
+def is_called(title: str, name: str, *, other_words: bool = False) -> bool:
+    """Whether a title without a unit is that of one of our columns: "Time" for `time_s`.
+
+    other_words : whether by what testing machines call it, such as "Load" for `force_n`
+    """
+    word = "_".join(title.lower().split())
+    return word in _ALSO_CALLED.get(quantity(name), "").split() if other_words else word == quantity(name)
 
 
 def is_unit(word: str, name: str) -> bool:
@@ -122,7 +134,8 @@ def factor(title: str, name: str, label: str, given: Mapping[str, str | None], p
             f"the record states the unit {word[:20]!r} for {title[:40]!r}, which is none of "
             f"{', '.join(units)}",
             where=str(path),
-            fix=f'state the unit of its numbers: {key} = "{ours}" in [site.load_cell]',
+            fix=f'convert its numbers; if the word is wrong, state their unit: {key} = "{ours}" in '
+            "[site.load_cell]",
         )
     if stated and asked and stated != asked:
         raise MeasurementError(

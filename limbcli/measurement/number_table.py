@@ -45,7 +45,10 @@ def read_table(
     path: Path, *, required: Collection[str], optional: Collection[str], texts: Collection[str] = (),
     may_be_empty: bool = False,
 ) -> tuple[RawTable | None, list[Problem]]:  # fmt: skip
-    """Read a comma-separated table with a header line; lines that begin with # are comments.
+    """Read a table with a header line; lines that begin with # are comments.
+
+    Columns are separated by commas; or, as spreadsheets of many countries write it, by semicolons or tabs,
+    with decimal points or commas.
 
     required, optional : names of numeric columns; texts : names of text columns (optional)
     may_be_empty : whether a header alone is accepted, as a table without rows
@@ -58,7 +61,10 @@ def read_table(
     first, _, rest = content.partition("\n")
     named = SEPARATOR_LINE.match(first)
     content = "\n" + rest if named else content
-    rows, problems = csv_rows(_COMMENT.sub("", content), path, separator=named[1] if named else ",")
+    content = _COMMENT.sub("", content)
+    known = {*required, *optional, *texts}
+    separator = named[1] if named else _separator(content, known)
+    rows, problems = csv_rows(content, path, separator=separator)
     if rows is None:
         return None, problems
     numbered = [(k, row) for k, row in enumerate(rows, 1) if any(cell.strip() for cell in row)]
@@ -68,7 +74,7 @@ def read_table(
     # spreadsheets leave empty cells beyond the header
     numbered = [(line, row[:width]) for line, row in numbered]
     header = [cell.strip() for cell in numbered[0][1]]
-    problems += _check_header(header, path, required=required, known={*required, *optional, *texts})
+    problems += _check_header(header, path, required=required, known=known)
     if errors_of(problems):
         return None, problems
     body = numbered[1:]
@@ -77,6 +83,8 @@ def read_table(
         return None, [problem("the table has a header but no rows", path, f"{fix}remove the file")]
     cells, found = _check_width(body, len(header), path)
     problems += found
+    if separator != ",":
+        cells = _with_points(cells, [j for j, name in enumerate(header) if name not in texts])
     numbers: dict[str, Array] = {}
     found = []
     for j, name in enumerate(header):
@@ -170,14 +178,29 @@ def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
     return content, []
 
 
+def _separator(content: str, known: Set[str]) -> str:
+    """The mark between the columns: a comma unless semicolons or tabs show names that are known."""
+    header = next((line for line in content.splitlines() if line.strip()), "")
+    for mark in ",;\t":
+        if known & {each.strip(' "') for each in header.split(mark)}:
+            return mark
+    return ","
+
+
+def _with_points(cells: list[tuple[int, list[str]]], columns: list[int]) -> list[tuple[int, list[str]]]:
+    """The rows with decimal points for commas, unless there are points too: marks are never mixed."""
+    if any("." in row[j] for _, row in cells for j in columns):
+        return cells
+    return [
+        (line, [cell.replace(",", ".") if j in columns else cell for j, cell in enumerate(row)])
+        for line, row in cells
+    ]
+
+
 def _check_header(
     header: list[str], path: Path, *, required: Collection[str], known: Set[str]
 ) -> list[Problem]:
-    apart = {each.strip() for each in re.split(r"[;\t]", ";".join(header))}
-    if len(header) == 1 and len(apart) > 1 and apart & known:
-        fix = "separate with commas (and write decimals with a point)"
-        return [problem("the columns are not separated by commas", path, fix, line=1)]
-    if not apart & known and not any(header[1:]):
+    if not known & set(header) and not any(header[1:]):
         what = f"the first line, {shown(header[0])}, is not a header"
         fix = f"begin the file with the names of its columns: {','.join(required)}"
         return [problem(what, path, fix, line=1)]
@@ -224,6 +247,7 @@ def _numbers(
         except ValueError:
             what = f"{name} is {shown(cell)}, not a number" if cell else f"{name} is empty"
             fix = "write a number with a decimal point, without its unit"
+            fix += "; leave the cell empty where there is none" * may_be_empty
             problems.append(problem(what, path, fix, line=line))
             continue
         if not isfinite(value):

@@ -6,8 +6,10 @@ states the names and units of the columns.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from datetime import date
 from pathlib import Path
 
 import numpy as np
@@ -38,6 +40,11 @@ from limbcli.measurement.trace import (
 )
 from limbcli.model import Array
 
+_UNLOADED = 0.1  # share of the largest force below which a probe is taken as free
+# a time of day, or since the start, with or without its date and time zone
+_CLOCK = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
+_DAY_S = 86_400.0
+_THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
 _AVERAGED_HZ = 1000.0  # rate to which records are averaged that are faster than plausible ones
 COLUMNS = (*TRACE_REQUIRED, *TRACE_OPTIONAL)
 
@@ -99,21 +106,34 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     values = _values(sheet, positions, form, path)
     _check_time(values["time_s"], path)
     k = positions["time_s"]
-    in_file = stated_word(sheet.header[k], "time_s", sheet.unit(k), {})
-    unit = form.time_unit or in_file
+    in_file = "s" if _in_clock(sheet, k) else stated_word(sheet.header[k], "time_s", sheet.unit(k), {})
+    unit = in_file if _in_clock(sheet, k) else form.time_unit or in_file
     averaged = ""
     if in_file is not None and (n := _fast(values["time_s"])):
         values = {name: block_means(each, n) for name, each in values.items()}
         averaged = f"means of {n} samples"
     _check_rate(values["time_s"], path, unit)
-    words = "; ".join(each for each in (_converted(sheet, positions, form), averaged) if each)
-    return Trace.of(values, path, converted=words)
+    words = [_converted(sheet, positions, form), averaged]
+    if _pulls(values["force_n"]) and "accel_x_g" not in values:
+        values["force_n"] = -values["force_n"]
+        words.append("its forces are negative: taken as compression, and counted as positive")
+    told = "; ".join(each for each in words if each)
+    return Trace.of(values, path, converted=told)
 
 
 def _fast(time: Array) -> int:
     """How many samples are averaged in a record that is faster than plausible ones; 0 if it is not."""
     rate = 1.0 / float(np.median(np.diff(time))) if len(time) > 1 else 0.0
     return round(rate / _AVERAGED_HZ) if rate > 1.01 * RATES_HZ[1] else 0
+
+
+def _pulls(force: Array) -> bool:
+    """Whether a record that begins unloaded goes to negative forces only: an indenter cannot pull."""
+    known = force[np.isfinite(force)]
+    if not len(known):
+        return False
+    low, high, first = known.min(), known.max(), np.median(known[: max(1, len(known) // 100)])
+    return bool(low < 0 and max(abs(high), abs(first)) < _UNLOADED * -low)
 
 
 def _converted(sheet: Sheet, positions: Mapping[str, int], form: RecordingFormat) -> str:
@@ -123,6 +143,7 @@ def _converted(sheet: Sheet, positions: Mapping[str, int], form: RecordingFormat
         f"{quantity(name).replace('_', ' ')} in {word}"
         for name in COLUMNS
         if name in positions
+        and not _in_clock(sheet, positions[name])
         and (word := stated_word(sheet.header[k := positions[name]], name, sheet.unit(k), given)) is not None
     ]
     return f"units as the record states them: {', '.join(named)}" if named else ""
@@ -143,7 +164,7 @@ def _sheet(path: Path, form: RecordingFormat) -> Sheet:
     def has_columns(titles: Sequence[str]) -> bool:
         """Also without units, which may stand in the next line."""
         wanted = {name: form.columns.get(name, name) for name in TRACE_REQUIRED}
-        return all(_places(titles, title, name, lambda _: "?") for name, title in wanted.items())
+        return all(_places(titles, title, name, lambda _: True) for name, title in wanted.items())
 
     return csv_sheet(text, path, has_columns, separator=form.separator)
 
@@ -161,9 +182,15 @@ def _values(
     sheet: Sheet, positions: Mapping[str, int], form: RecordingFormat, path: Path
 ) -> dict[str, Array]:
     """Our columns in our units."""
-    decimal = form.decimal or _decimal([cell(row, k) for row in sheet.rows[:50] for k in positions.values()])
+    plain = [k for k in positions.values() if not _in_clock(sheet, k)]
+    decimal = form.decimal or _decimal([cell(row, k) for row in sheet.rows[:50] for k in plain])
     values = {}
     for name, k in positions.items():
+        if name == "time_s" and _in_clock(sheet, k):
+            values[name] = _seconds(sheet.rows, k, path)
+            continue
+        if decimal == "," and form.decimal is None:
+            _require_no_thousands(sheet, k, name, path)
         scale = factor(sheet.header[k], name, sheet.unit(k), form.units, path)
         values[name] = scale * _column(sheet.rows, k, decimal, name, path)
     return values
@@ -199,25 +226,33 @@ def _decimal(cells: list[str]) -> str:
 
 
 def _places(
-    titles: Sequence[str], wanted: str, name: str, unit: Callable[[int], str] = lambda _: ""
+    titles: Sequence[str], wanted: str, name: str, unit: Callable[[int], bool] = lambda _: False
 ) -> list[int]:
     """The columns called `wanted`, else those called so beside a unit; `wanted` may be our own name.
 
-    unit : of a column, as another line than the header states it
+    unit : whether another line than the header states one of a column; a column's own name goes before what
+    testing machines call it
     """
     bare = [title.lstrip("#").strip() for title in titles]
-    return (
+    found = (
         [k for k, title in enumerate(titles) if title == wanted]
         or [k for k, title in enumerate(bare) if title == wanted]
         or [k for k, title in enumerate(bare) if stated_unit(title, name)[0] == wanted]
-        or [k for k, title in enumerate(bare) if wanted == name and matches(title, name)]
-        or [k for k, title in enumerate(bare) if wanted == name and is_called(title, name) and unit(k)]
     )
+    if found or wanted != name:
+        return found
+    for other_words in (False, True):
+        for is_one in (
+            lambda k, words=other_words: matches(bare[k], name, other_words=words),
+            lambda k, words=other_words: is_called(bare[k], name, other_words=words) and unit(k),
+        ):
+            found = found or [k for k in range(len(bare)) if is_one(k)]
+    return found
 
 
 def _position(sheet: Sheet, wanted: str, name: str, path: Path, *, requested: bool) -> int | None:
     titles = sheet.header
-    places = _places(titles, wanted, name, lambda k: sheet.unit(k) if is_unit(sheet.unit(k), name) else "")
+    places = _places(titles, wanted, name, lambda k: is_unit(sheet.unit(k), name) or _in_clock(sheet, k))
     if len(places) > 1 and wanted != lvm.TIME:
         raise MeasurementError(
             f"{len(places)} columns of the record are called {wanted!r} "
@@ -250,11 +285,50 @@ def _column(rows: list[list[str]], position: int, decimal: str, name: str, path:
                     f"the decimal mark is a {decimal!r} here: write numbers without marks between thousands, "
                 )
                 fix += 'or state decimal = "."'
+            elif _THOUSANDS.fullmatch(text):
+                fix = "write numbers without marks between thousands"
             if ":" in text:
-                fix = "write seconds: a time of day or a date is not read as time"
+                fix = "write seconds, or hours:minutes:seconds, also after year-month-day, in every row"
             where = f"{path}, row {k + 1} below the header"
             raise MeasurementError(f"{name} is {shown(text)}, not a number", where=where, fix=fix) from None
     return values
+
+
+def _in_clock(sheet: Sheet, position: int) -> bool:
+    """Whether a column begins with a time of day, with or without its date."""
+    return _CLOCK.fullmatch(sheet.cell(0, position)) is not None
+
+
+def _seconds(rows: list[list[str]], position: int, path: Path) -> Array:
+    """Times of day since the first of them, s; they may pass midnight."""
+    values = np.empty(len(rows))
+    for k, row in enumerate(rows):
+        text = cell(row, position)
+        found = _CLOCK.fullmatch(text)
+        try:
+            day, hours, minutes, seconds = found.groups()  # type: ignore[union-attr]
+            days = date.fromisoformat(day).toordinal() if day else 0
+        except (AttributeError, ValueError):
+            raise MeasurementError(
+                f"time_s is {shown(text)}; the first row has a time of day",
+                where=f"{path}, row {k + 1} below the header",
+                fix="write all times alike: hours:minutes:seconds, also after year-month-day, or seconds",
+            ) from None
+        values[k] = 60 * (60 * (24 * days + int(hours)) + int(minutes)) + float(seconds.replace(",", "."))
+    midnights = np.cumsum(np.diff(values, prepend=values[:1]) < -_DAY_S / 2)
+    return values + _DAY_S * midnights - values[0]
+
+
+def _require_no_thousands(sheet: Sheet, position: int, name: str, path: Path) -> None:
+    """Check that commas taken for decimal marks cannot be those of thousands: "980", then "1,017"."""
+    cells = [text for row in sheet.rows if (text := cell(row, position))]
+    marked = [each for each in cells if "," in each]
+    if marked and len(marked) < len(cells) and all(map(_THOUSANDS.fullmatch, marked)):
+        raise MeasurementError(
+            f"{name} is {shown(marked[0])}, and other numbers have no comma: is it a decimal mark?",
+            where=str(path),
+            fix='write numbers without marks between thousands; if it is, state decimal = ","',
+        )
 
 
 def _check_time(time: Array, path: Path) -> None:

@@ -7,11 +7,11 @@ import csv
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from itertools import pairwise
 from pathlib import Path
 
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import checked
+from limbcli.measurement.column_units import is_unit
 from limbcli.measurement.number_table import SEPARATOR_LINE, binary_kind, csv_rows, number_of
 
 _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
@@ -107,6 +107,8 @@ def csv_sheet(
     marks = (separator,) if separator else (named[1],) if named else _MARKS
     if named:
         lines[0] = ""
+    if not separator and not any(each in line for line in lines for each in _MARKS):
+        lines = ["\t".join(re.sub(r"^#\s+", "#", line).split()) for line in lines]
     at, mark = _header_line(lines, marks, is_header)
     kept = ["" if k < at or (k > at and line.startswith("#")) else line for k, line in enumerate(lines)]
     cells = checked(*csv_rows("\n".join(kept), path, separator=mark), MeasurementError)
@@ -114,7 +116,20 @@ def csv_sheet(
     if len(rows) < 2:
         fix = "give the file that the load cell's program wrote"
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
+    _require_width(rows[1:], len(rows[0]), path)
     return Sheet([each.strip() for each in rows[0]], rows[1:], mark)
+
+
+def _require_width(rows: list[list[str]], width: int, path: Path) -> None:
+    """Check that no number stands beyond the last title: the columns would be mistaken for each other."""
+    for k, row in enumerate(rows, 1):
+        if any(map(is_number, row[width:])):
+            raise MeasurementError(
+                f"the row has {len(row)} cells, the header {width}",
+                where=f"{path}, row {k} below the header",
+                fix="give every column a title; if the comma is the decimal mark, separate the columns with "
+                "semicolons or tabs",
+            )
 
 
 def _header_line(
@@ -122,8 +137,8 @@ def _header_line(
 ) -> tuple[int, str]:
     """Number (from 0) and separator of the header: the first line with the wanted columns.
 
-    If there is none, the first line above a row of numbers with as many cells, so that a message can name its
-    columns.
+    If there is none, the first line above a row of numbers with as many cells (the line before it, where it
+    has only units), so that a message can name its columns.
     """
     filled = [k for k, line in enumerate(lines) if line.strip()][:_MOST_ABOVE]
     for k in filled:
@@ -131,7 +146,7 @@ def _header_line(
             if is_header(_titles(lines[k], mark)):
                 return k, mark
     plain = [k for k in filled if not lines[k].startswith("#")]
-    for k, following in pairwise(plain):
+    for before, k, following in zip([-1, *plain], plain, plain[1:], strict=False):
         for mark in marks:
             titles, below = _titles(lines[k], mark), _titles(lines[following], mark)
             if (
@@ -139,9 +154,14 @@ def _header_line(
                 and all(map(is_number, below))
                 and not any(map(is_number, titles))
             ):
-                return k, mark
+                has_titles = before >= 0 and len(_titles(lines[before], mark)) == len(titles)
+                return (before if has_titles and all(map(_is_unit, titles)) else k), mark
     first = plain[0] if plain else 0
     return first, max(marks, key=lambda mark: lines[first].count(mark) if lines else 0)
+
+
+def _is_unit(title: str) -> bool:
+    return any(is_unit(title.strip("()[]{} "), name) for name in ("time_s", "force_n", "depth_mm"))
 
 
 def _titles(line: str, mark: str) -> list[str]:

@@ -66,12 +66,14 @@ class UltrasoundImage:
     """One frame: rgb (rows, columns, 3) of bytes, and its calibrated regions.
 
     frame : its number in the file, from 1; None if it is the only one
+    replaced_mm_per_pixel : the file's own scale along the beam, where another was stated; None without one
     """
 
     rgb: NDArray[np.uint8]
     regions: tuple[Region, ...]
     path: Path
     frame: int | None = None
+    replaced_mm_per_pixel: float | None = None
 
     @property
     def where(self) -> str:
@@ -169,13 +171,15 @@ def read_image(
         file or given.
     """
     rgb, regions, number = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
+    own = None
     if mm_per_pixel is not None:
+        own = max(regions, key=_area).mm_per_pixel_y if regions else None
         if not 0.005 <= mm_per_pixel <= 1.0:
             what = f"mm_per_pixel is {mm_per_pixel:g}; ultrasound images have 0.02 to 0.3"
             raise MeasurementError(what, where=str(path), fix="read it off the depth scale of the image")
         whole = Region(0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1, 1.0, 1.0)
         regions = tuple(_at_scale(each, mm_per_pixel) for each in regions or (whole,))
-    image = UltrasoundImage(rgb, regions, path, number)
+    image = UltrasoundImage(rgb, regions, path, number, own)
     return image if box_pixels is None else _within(image, box_pixels)
 
 

@@ -183,10 +183,17 @@ def _twice(bones: Mapping[str, Triangles], above: Mapping[str, Heights], where: 
 
 
 def _side(bones: Mapping[str, Triangles], limb: str, where: str) -> list[Problem]:
-    """Check that the fibula lies lateral of the tibia: in a left leg towards +x (LPS), the patient's left."""
+    """Check that the fibula lies lateral of the tibia: in a left leg towards +x (LPS), the patient's left.
+
+    A fibula larger than the tibia is the tibia: nothing else is then told.
+    """
     tibia, fibula = bone_named(bones, "tibia"), bone_named(bones, "fibula")
     if tibia is None or fibula is None:
         return []
+    sizes = [abs(each.volume) / 1000 for each in (fibula, tibia)]
+    if sizes[0] > sizes[1]:
+        what = f"the fibula ({sizes[0]:.0f} cm3) is larger than the tibia ({sizes[1]:.0f} cm3)"
+        return [_problem(what, where, "exchange their names: each is taken for the other")]
     x, y, _ = fibula.centroids.mean(axis=0) - tibia.centroids.mean(axis=0)
     lateral = x if limb == "left" else -x
     if lateral > -_ASIDE_MM or lateral > -_ASIDE * np.hypot(x, y):

@@ -27,7 +27,13 @@ from limbcli.provenance.chain_inputs import noted
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.site_levels import layer_noise
 from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
-from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, tissue_between
+from limbcli.stages.measuring.images import (
+    box_of,
+    images_of,
+    measured_speeds,
+    scale_warnings,
+    tissue_between,
+)
 from limbcli.stages.measuring.layers_on_images import layer_columns, read_borders, write_pennation
 
 STAGE = "measure"
@@ -119,6 +125,7 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
     from limbcli.measurement.instrument_pictures import draw_bone_lines
 
     images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
+    writer.warnings.extend(scale_warnings(images, table["mm_per_pixel"]))
     if table["box_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
             "the top of the B-mode images is taken as the probe face: if a frame or text is above it, state "

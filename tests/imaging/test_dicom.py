@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
 from limbcli.imaging.dicom import read_series
+from limbcli.imaging.image_files import read_image
 from limbcli.imaging.volume import Volume
 
 
@@ -132,6 +133,23 @@ def test_a_missing_slice_is_told_with_its_place(ramp, tmp_path):
     error = refused(tmp_path)
     assert "missing" in error.what
     assert error.facts["n_missing"] == 1
+
+
+def test_images_of_two_contrasts_in_one_series_are_told_apart(ramp, tmp_path):
+    """Dixon's method: water and fat have the same places, and often one series."""
+    for stem, kind in (("w", "W"), ("f", "F")):
+        write_dicom(tmp_path, ramp, stem=stem, change=lambda dataset, _, kind=kind: named(dataset, kind))
+    fix = refused(tmp_path).fix
+    n = ramp.shape[2]
+    assert (
+        f"differ in Image Type (0008,0008): DERIVED, PRIMARY, W ({n} images), DERIVED, PRIMARY, F" in fix
+        or (f"DERIVED, PRIMARY, F ({n} images), DERIVED, PRIMARY, W ({n} images)" in fix)
+    )
+
+
+def named(dataset, kind):
+    dataset.ImageType = ["DERIVED", "PRIMARY", kind]
+    dataset.SeriesInstanceUID = "1.2.3"
 
 
 def test_doubled_slices_are_told(ramp, tmp_path):
@@ -457,9 +475,10 @@ def test_an_enhanced_multi_frame_file_is_read(ramp, tmp_path):
     enhanced(tmp_path / "one" / "all.dcm", ramp)
     for extra in (tmp_path / "one" / "single").iterdir():
         extra.unlink()
-    series = read_series(tmp_path / "one")
-    assert np.array_equal(series.volume.values, 2 * ramp.values + 1)
-    np.testing.assert_allclose(series.volume.affine, ramp.affine, atol=1e-6)
+    for path in (tmp_path / "one", tmp_path / "one" / "all.dcm"):
+        series = read_image(path)
+        assert np.array_equal(series.volume.values, 2 * ramp.values + 1)
+        np.testing.assert_allclose(series.volume.affine, ramp.affine, atol=1e-6)
 
 
 def test_frames_without_places_are_told(ramp, tmp_path):

@@ -47,7 +47,6 @@ FAULTS = {
     "lateral_mm,depth_mm,speed_m_per_s\n0,1,nan\n": "speed_m_per_s is nan",
     "lateral_mm,depth_mm,speed_m_per_s\n0,1,\n": "speed_m_per_s is empty",
     "lateral_mm,depth_mm,speed\n0,1,2\n": "'speed'",
-    "lateral_mm;depth_mm;speed_m_per_s\n0;1;2\n": "not separated by commas",
     "": "empty",
 }
 

@@ -45,6 +45,27 @@ def test_columns_are_read_in_any_order_and_missing_ones_are_nan(tmp_path: Path):
     assert levels.loading.all()
 
 
+@pytest.mark.parametrize("separator", [";", "\t"])
+def test_spreadsheets_with_decimal_commas_are_read(tmp_path: Path, separator: str):
+    ours = read_levels(write(tmp_path))
+
+    def as_spreadsheet(line: str) -> str:
+        return line.replace(",", separator).replace(".", ",")
+
+    path = write(tmp_path, as_spreadsheet(HEADER), [as_spreadsheet(row) for row in ROWS])
+    theirs = read_levels(path)
+    for name in ("force", "depth", "swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels"):
+        np.testing.assert_array_equal(getattr(theirs, name), getattr(ours, name))
+    path.write_text(path.read_text().replace("2,1", "2.1"))
+    with pytest.raises(MeasurementError, match="'1,65', not a number"):  # which mark is that of decimals?
+        read_levels(path)
+
+
+def test_dashes_for_no_reading_are_told_to_be_left_empty(tmp_path: Path):
+    with pytest.raises(MeasurementError, match=r"'---', not a number(.|\n)*leave the cell empty"):
+        read_levels(write(tmp_path, rows=[*ROWS[:3], "6,5.2,---,0.3,84"]))
+
+
 def test_empty_columns_that_a_spreadsheet_leaves_are_none(tmp_path: Path):
     rows = [f"{row},," for row in ROWS]
     levels = read_levels(write(tmp_path, HEADER + ",,", rows))
@@ -123,7 +144,7 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
         (HEADER.replace("swe_mean_m_per_s", "swe_mean_kpa"), "m/s: sqrt(E/3) of a Young's modulus E in kPa"),
         (HEADER.replace("force_n,", ""), "its name includes the unit (N)"),
         (HEADER.replace("swe_pixels", "depth_mm"), "appears twice"),
-        (HEADER.replace(",", ";"), "not separated by commas"),
+        (HEADER.replace(",", ";"), "the row has 1 cells, the header 5"),
         (f"Patient 3; site p1\n\n{HEADER}", "the first line, 'Patient 3; site p1', is not a header"),
     ],
 )

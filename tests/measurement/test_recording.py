@@ -157,12 +157,78 @@ def test_wrong_record_is_refused_with_a_fix(tmp_path, text, form, expected):
     assert "fix:" in str(caught.value)
 
 
-def test_a_time_of_day_is_refused_with_what_to_write_instead(tmp_path):
+@pytest.mark.parametrize(
+    "times",
+    [
+        ("14:59:59.5", "15:00:00", "15:00:00.25"),
+        ("23:59:59,5", "00:00:00,0", "0:00:00,25"),
+        ("2024-02-29T23:59:59.5", "2024-03-01 00:00:00.0", "2024-03-01 00:00:00.250"),
+        ("2024-03-01T10:59:59.5+01:00", "2024-03-01T11:00:00+01:00", "2024-03-01T11:00:00.25+01:00"),
+    ],
+)
+def test_times_of_day_count_from_the_first(tmp_path, times):
     path = tmp_path / "cell.csv"
-    path.write_text("time_s,force_n\n14:59:50.0,0.1\n14:59:50.1,0.2\n")
-    with pytest.raises(MeasurementError) as found:
+    path.write_text("Time;Force\n;N\n" + "".join(f"{time};0,{k}\n" for k, time in enumerate(times)))
+    trace = read_recording(path)
+    np.testing.assert_allclose(trace.time, [0.0, 0.5, 0.75])
+    np.testing.assert_allclose(trace.force, [0.0, 0.1, 0.2])
+    path.write_text(f"time_s,force_n\n{times[0].replace(',', '.')},0\n0.5,1\n")
+    with pytest.raises(MeasurementError, match="first row has a time of day") as found:
         read_recording(path)
-    assert found.value.fix == "write seconds: a time of day or a date is not read as time"
+    assert "write all times alike" in found.value.fix
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        '"Results Table 1"\n"","Maximum Load"\n"1","2.5"\n\n"Raw Data"\n"Time","Extension","Load"\n'
+        '"(s)","(mm)","(N)"\n"0","0","0"\n"0.1","-1","-1.5"\n"0.2","-2","-2.5"\n',
+        "Pr\u00fcfzeit;Standardkraft;Standardweg\ns;N;mm\n0,0;0,0;0\n0,1;1,5;1\n0,2;2,5;2\n",
+        "Axial Displacement\tAxial Force\tTime\nmm\tkN\tSec\n0\t0\t0\n1\t-0.0015\t0.1\n2\t-0.0025\t0.2\n",
+        "Reading,Load [N],Load cell 2 [N],Elapsed Time [sec]\n1,0,0,0\n2,1.5,0,0.1\n3,2.5,0,0.2\n",
+        "# time_s  force_n\n  0.0   0.0\n  0.1   1.5\n  0.2   2.5\n",
+    ],
+)
+def test_records_of_testing_machines_need_no_names(tmp_path, text):
+    path = tmp_path / "a.csv"
+    path.write_text(text, encoding="utf-8")
+    trace = read_recording(path)
+    np.testing.assert_allclose(trace.time, [0.0, 0.1, 0.2])
+    np.testing.assert_allclose(trace.force, [0.0, 1.5, 2.5])
+    assert ("counted as positive" in trace.converted) == ("-" in text)
+
+
+def test_our_own_names_go_before_other_words(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("Elapsed Time (s),Time (ms),Load (N),Force (N)\n9,0,9,1\n9,100,9,2\n")
+    np.testing.assert_allclose(read_recording(path).force, [1.0, 2.0])
+
+
+@pytest.mark.parametrize("first", [-5.0, 0.6])
+def test_forces_are_turned_only_of_a_record_that_begins_free_and_never_pushes(tmp_path, first):
+    """A weight that hangs on the cell also reads below 0."""
+    path = tmp_path / "a.csv"
+    path.write_text(f"time_s,force_n\n0,{first}\n1,-5\n2,-0.1\n")
+    np.testing.assert_allclose(read_recording(path).force, [first, -5.0, -0.1])
+
+
+@pytest.mark.parametrize(
+    ("text", "what", "fix"),
+    [
+        ("Time (ms),Force (N)\n0,0,5\n20,1,5\n", "the row has 3 cells, the header 2", "semicolons or tabs"),
+        ("Time (s),Force (N)\n1,0.0,0.5\n2,0.1,1.5\n", "the row has 3 cells", "every column a title"),
+        ('Time (ms),Force (mN)\n0,"980"\n20,"1,017"\n40,"1,200"\n', "is it a decimal mark", "thousands"),
+        ('Time (s),Force (mN)\n0.0,"980"\n0.1,"1,017"\n', "not a number", "marks between thousands"),
+        ("Time,Extension,Kraftwert\n(s),(mm),(N)\n0,0,0\n1,1,1\n", "no column", "known here: 'Extension'"),
+        ("Time (s),Force (dN)\n0,1\n1,2\n", "no column|unit 'dN'", "convert its numbers"),
+    ],
+)
+def test_what_would_be_read_as_other_numbers_is_refused(tmp_path, text, what, fix):
+    path = tmp_path / "a.csv"
+    path.write_text(text)
+    with pytest.raises(MeasurementError, match=what) as caught:
+        read_recording(path)
+    assert fix in caught.value.fix
 
 
 SECONDS = np.arange(5) / 10.0

@@ -15,6 +15,7 @@ from pydicom.uid import ExplicitVRLittleEndian, JPEGBaseline8Bit, UltrasoundImag
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.ultrasound_image import read_image
+from limbcli.stages.measuring.images import scale_warnings
 
 ROWS, COLUMNS = 64, 80
 
@@ -120,12 +121,20 @@ def test_of_a_real_convex_probe_s_picture_the_face_is_8_mm_below_the_region_s_to
 def test_a_scale_that_is_stated_leaves_the_picture_where_the_file_has_it(tmp_path):
     reference = {"ReferencePixelY0": 21, "ReferencePixelPhysicalValueY": 0.0}
     path = stored(tmp_path / "a.dcm", screen().tobytes(), RegionLocationMinX0=8, **reference)
-    region = read_image(path, mm_per_pixel=0.2).main_region()
+    image = read_image(path, mm_per_pixel=0.2)
+    own = read_image(path).main_region().mm_per_pixel_y
+    assert image.replaced_mm_per_pixel == own
+    (said,) = scale_warnings([image], 0.2)
+    assert f"{own:.4g} mm per pixel, but mm_per_pixel = 0.2" in said
+    assert not scale_warnings([read_image(path, mm_per_pixel=own)], own)
+    assert not scale_warnings([read_image(path)], None)
+    region = image.main_region()
     assert (region.left, region.top, region.mm_per_pixel_x, region.mm_per_pixel_y) == (8, 21, 0.2, 0.2)
     assert not read_image(path).is_whole
     Image.fromarray(screen()).save(tmp_path / "a.png")
     picture = read_image(tmp_path / "a.png", mm_per_pixel=0.2)
     assert picture.is_whole
+    assert not scale_warnings([picture], 0.2)
     assert picture.main_region().bottom == ROWS - 1
 
 

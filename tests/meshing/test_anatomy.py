@@ -92,6 +92,14 @@ def test_a_mirrored_limb_is_told_by_its_fibula(surfaces):
     assert not [what for _, what in found({**surfaces, "bone_fibula": behind}, "left") if "leg" in what]
 
 
+def test_bones_that_bear_each_others_names_are_told(surfaces):
+    swapped = {"bone_tibia": surfaces["bone_fibula"], "bone_fibula": surfaces["bone_tibia"]}
+    for limb in ("left", "right"):
+        ((severity, what),) = found({**surfaces, **swapped}, limb)
+        assert severity == "warning"
+        assert "is larger than the tibia" in what
+
+
 def test_meshing_refuses_bones_all_of_which_lie_outside(surfaces):
     with pytest.raises(MeshError, match="outside the skin"):
         mend(surfaces["skin"], [moved(surfaces["bone_tibia"], (200, 0, 0))])

@@ -109,6 +109,29 @@ def test_muscles_and_bones_get_the_rest_of_the_limb_from_the_image(ours, tmp_pat
 
 
 @pytest.mark.slow
+def test_a_map_of_a_part_of_the_image_still_gets_the_whole_limb_around_it(ours, tmp_path):
+    """Bones drawn within a region of interest whose sides lie within the limb."""
+    table = 'labels = { file = "map.nii.gz", preset = "musclemap-1" }'
+    folder = case_of(tmp_path / "case", table, mri=True)
+    image = nib.load(ours)
+    wanted = np.asarray(image.dataobj)
+    i, j, k = np.nonzero(wanted == 2)
+    part = slice(i.min(), i.max() + 1), slice(j.min(), j.max() + 1), slice(k.min() + 2, k.max() - 1)
+    bones = image.slicer[part]
+    drawn = np.where(np.asarray(bones.dataobj) == 2, 8151, 0).astype(np.int16)
+    nib.save(nib.Nifti1Image(drawn, bones.affine), folder / "map.nii.gz")
+    case = Case.open(folder)
+    limb = labelled_limb(case, side=case.limb)
+    assert not limb.problems
+    found = limb.found.labels
+    for axis in (0, 1):
+        assert not np.isin(np.take(found.values, [0, -1], axis), (1, 2, 4)).any()
+    for number in (1, 2, 4):
+        assert (found.values == number).sum() == (wanted[:, :, part[2]] == number).sum()
+    assert len(limb.found.bones) == 2
+
+
+@pytest.mark.slow
 def test_muscles_and_bones_without_an_image_are_warned_of(ours, tmp_path):
     table = 'labels = { file = "map.nii.gz", preset = "musclemap-1" }'
     folder = case_of(tmp_path / "case", table, mri=False)

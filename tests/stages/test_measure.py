@@ -171,12 +171,11 @@ ONLY_CELL = '[site.load_cell]\nfile = "cell.csv"\ncolumns = { time_s = "t", forc
     ("change", "message"),
     [
         (lambda time, force: (time, 102.0 * force), "spans .* to 6.. N"),
-        (lambda time, force: (time, -force), "the sign reversed"),
         (lambda time, force: (1000.0 * time, force), "are its times in ms"),
         (lambda time, force: (time, 0.0 * force), "only one level"),
         (lambda time, force: (time, np.full(len(force), np.nan)), "0 of .* samples"),
     ],
-    ids=["grams", "sign", "milliseconds", "one level", "no force"],
+    ids=["grams", "milliseconds", "one level", "no force"],
 )
 def test_a_record_that_cannot_be_meant_is_refused(folder: Path, tmp_path: Path, rng, change, message):
     with pytest.raises(MeasurementError, match=message):

@@ -23,6 +23,7 @@ from limbcli.results import StageWriter
 
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
 _MANY_SATURATED = 10.0  # % of saturated pixels in the tissue above which a warning is given
+_SAME_SCALE = 0.02  # largest difference of a stated scale from that of the files that is not told
 _MANY_UNLIKE = 0.2  # share of coloured pixels that match no colour of the bar above which a warning is given
 SCANNER_DENSITY = 1000.0  # kg/m^3
 _OFF_BONE = 1.5  # mm above the bone line that are excluded because of its blur
@@ -99,6 +100,17 @@ def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> lis
     ]
 
 
+def scale_warnings(images: Sequence[UltrasoundImage], stated: float | None) -> list[str]:
+    """A warning where the scale that case.toml states is not that of the files; stated : mm per pixel"""
+    own = [each.replaced_mm_per_pixel for each in images if each.replaced_mm_per_pixel is not None]
+    if stated is None or not own or max(abs(each / stated - 1) for each in own) < _SAME_SCALE:
+        return []
+    return [
+        f"the images state {min(own):.4g} to {max(own):.4g} mm per pixel, but mm_per_pixel = {stated:g} of "
+        "case.toml is used: remove it, unless their calibration is wrong"
+    ]
+
+
 def _is_image(path: Path) -> bool:
     """Whether a visible file is an image, by its suffix or, as DICOM often has none, by its header."""
     if path.name.startswith(".") or path.name == "DICOMDIR" or not path.is_file():
@@ -122,6 +134,7 @@ def measured_speeds(
     from limbcli.measurement.instrument_pictures import draw_speeds
 
     images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
+    writer.warnings.extend(scale_warnings(images, table["mm_per_pixel"]))
     if table["image_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
             "the top of the elastography images is taken as the probe face and their middle "

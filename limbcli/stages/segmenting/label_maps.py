@@ -26,6 +26,7 @@ from limbcli.progress import SILENT, Progress
 # as one that reaches to the skin: 0.7 mm all round a limb of 50 mm radius. Skin alone is 1 to 2 mm thick.
 _WITHOUT_SKIN = 0.03
 _ASTRAY = 0.05  # largest fraction of the labelled voxels outside the limb in the image
+_LIMB = (SOFT_TISSUE, BONE, FAT)
 _FIX = "add the image, [imaging] mri: what is missing up to the skin is then taken from it"
 
 
@@ -72,7 +73,8 @@ def labelled_limb(case: Case, *, side: Side, progress: Progress = SILENT) -> Lab
             labels, more, found = _up_to_skin(labels, series, side, where, progress)
             lines += more
             problems += found
-    bone_of = read.bone_of.with_values(np.where(labels.values == BONE, read.bone_of.values, 0))
+    named = read.bone_of.values if labels is read.volume else _resampled(read.bone_of, labels)
+    bone_of = labels.with_values(np.where(labels.values == BONE, named, 0))
     found_limb = segmentation_from(labels, side=side, bone_of=bone_of, bone_names=read.bone_names)
     image = labels if series is None or own_grid else in_order_of(labels, series.volume)
     return LabelledLimb(found_limb, image, tuple(problems), tuple(lines), own_grid)
@@ -81,15 +83,17 @@ def labelled_limb(case: Case, *, side: Side, progress: Progress = SILENT) -> Lab
 def _up_to_skin(
     labels: Volume, series: Series, side: Side, where: str, progress: Progress
 ) -> tuple[Volume, list[str], list[Problem]]:
-    """The labels, with the rest of the limb from the image unless they fill it; lines and problems."""
+    """The labels, with the rest of the limb from the image unless they fill it; lines and problems.
+
+    The grid of the labels may be a part of the image only: it then grows across the limb, not along it.
+    """
     modality = str(series.facts.get("modality", "MR"))
     seen = segment_limb(
         series.volume, modality=modality, hints=SegmentationHints(side=side), progress=progress
     )
-    around = np.empty_like(labels.values)
-    for k, layer in enumerate(_sampled(seen.labels, labels)):
-        around[:, :, k] = layer
-    limb = np.isin(around, (SOFT_TISSUE, BONE, FAT))
+    labels = _widened(labels, seen.labels)
+    around = _resampled(seen.labels, labels)
+    limb = np.isin(around, _LIMB)
     ours = labels.values > 0
     outside = ours & ~ndimage.binary_dilation(limb, iterations=2)
     astray = float(outside.sum() / max(ours.sum(), 1))
@@ -108,6 +112,30 @@ def _up_to_skin(
     line = f"{missing:.0%} of the limb is in no segment of the label map: taken from the image"
     values = np.where(ours, labels.values, rest).astype(np.uint8)
     return labels.with_values(values), [line], []
+
+
+def _widened(labels: Volume, limb: Volume) -> Volume:
+    """The labels on a grid that reaches beyond the limb beside them; along the limb it stays as it is."""
+    index = np.argwhere(np.isin(limb.values, _LIMB))
+    at = labels.to_voxel(limb.to_patient(index.astype(np.float64)))
+    along, shape = labels.limb_axis, np.array(labels.shape)
+    beside = at[(at[:, along] > -0.5) & (at[:, along] < shape[along] - 0.5)]
+    if not len(beside):
+        return labels
+    before = np.maximum(0, np.ceil(1 - beside.min(axis=0))).astype(int)
+    after = np.maximum(0, np.ceil(beside.max(axis=0)).astype(int) + 2 - shape)
+    before[along] = after[along] = 0
+    affine = labels.affine.copy()
+    affine[:3, 3] = labels.to_patient(-before[None].astype(np.float64))[0]
+    return Volume(np.pad(labels.values, list(zip(before, after, strict=True))), affine)
+
+
+def _resampled(source: Volume, grid: Volume) -> NDArray:
+    """The source at the voxel nearest to each one of the grid (0 outside)."""
+    values = np.empty(grid.shape, source.values.dtype)
+    for k, layer in enumerate(_sampled(source, grid)):
+        values[:, :, k] = layer
+    return values
 
 
 def _sampled(source: Volume, grid: Volume) -> Iterator[NDArray]:
