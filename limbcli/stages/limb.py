@@ -162,7 +162,7 @@ def limb(
             used = [places[name] for name in stiffness.sites if name in places]
             values = element_values(centroids, stiffness, np.array(used).reshape(-1, 3))
         model = with_layer_laws(limb_model(mesh, list(bones), frame, case, stiffness), laws)
-        model = with_element_values(model, tissue, values.c, stiffness)
+        model = with_element_values(model, tissue, values.c, m=values.m, f_kappa=values.f_kappa)
         _report(writer, found, model, parts, frame, stiffness, values)
         if field is not None:
             _report_field(writer, field, values)
@@ -235,7 +235,7 @@ def _write_draws(
     write_draws(writer.file("draws", "draws.csv"), draws.table(centroids[few], sizes[few]))
     for n, k in enumerate(dict.fromkeys(numbers)):
         progress.event("task", name="limb: models of draws", done=n, total=len(numbers))
-        drawn = model_of_draw(model, tissue, draws.draw(k), centroids, sizes)
+        drawn = model_of_draw(model, tissue, draws.draw(k), centroids)
         write_feb(drawn, writer.file(f"feb_draw_{k:02d}", f"limb_draw_{k:02d}.feb"), templates)
 
 

@@ -16,12 +16,8 @@ from limbcli.files.atomic import sha256
 from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.results import StageResult, StageWriter, open_stage, plain, write_sealed
 from limbcli.stages.limb_field.case_field import case_field, cohort_priors
-from limbcli.stages.limb_field.site_results import (
-    force_ratio_on_limb,
-    of_diagnosis,
-    of_fit,
-    site_results,
-)
+from limbcli.stages.limb_field.site_force import force_reading
+from limbcli.stages.limb_field.site_results import of_diagnosis, of_fit, site_results
 from limbcli.stiffness_field import LABELS, limb_coordinates
 from tests.stiffness_field import synthetic as limb
 
@@ -79,27 +75,53 @@ def read(**there: StageResult):
     return site_results(case_of(), Results(mesh=mesh(), **there), NOT_KEPT)
 
 
-def test_what_a_fit_finds_from_the_force_is_moved_half_way_to_free_cuts():
-    """A factor of 1.44 in m with free cuts is one of 1.2 half-way; c comes from the speed and stays."""
-    free = {"cut_free": {"depths_mm": [4.0], "force_change_fraction": [-0.1], "m": 1.44 * FIT["m"]}}
-    values, _, source = of_fit({**FIT, "boundary_check": free})
-    m = values["m"]
-    assert (m.value, m.low, m.high) == tuple(pytest.approx(1.2 * each) for each in (4.0, 3.0, 5.5))
-    assert values["c"].value == pytest.approx(0.008)
-    assert values["f_kappa"].high is None
-    assert "free cuts" in source
+def told_force() -> dict:
+    """What a fit of 8 kPa says of its force: two depths, simulated with two tissues (f_kappa by m)."""
+    f_kappa, m = np.array([100.0, 50.0]), np.array([2.0, 4.0])
+    slopes = np.array([[[0.1, 0.2], [0.15, 0.3]]] * 2)  # of ln force by ln f_kappa, ln m
+    logs = np.log([f_kappa / 100.0, m / 2.0]).T
+    forces = np.array([1.0, 3.0]) * np.exp(np.einsum("kdp,kp->kd", slopes, logs))
+    return plain(
+        {
+            "depths_mm": [2.0, 4.0], "fitted_n": forces[1], "noise_n": [0.1, 0.2], "c_share": [1.0, 0.9],
+            "model_errors_of_ln": [[0.03, 0.03], [0.02, 0.05]],
+            "simulated": {"f_kappa": f_kappa, "m": m, "forces_n": forces, "slopes_of_ln": slopes},
+        }
+    )  # fmt: skip
 
 
-def test_a_fit_that_is_not_moved_says_how_much_less_force_the_limb_gives():
-    """Free cuts take a fifth at the deepest level: half-way in logarithms the limb has sqrt(0.8)."""
+def test_a_fits_force_is_read_as_one_of_the_limb_half_way_to_free_cuts():
+    """Free cuts take a fifth at the deepest level: half-way in logarithms the limb has sqrt(0.8) of the force,
+    and needs a tissue that gives as much more in the site's model."""
     free = {"cut_free": {"depths_mm": [2.0, 4.0], "force_change_fraction": [-0.1, -0.2]}}
-    assert force_ratio_on_limb({**FIT, "boundary_check": free}) == pytest.approx(0.8**0.5)
-    moved = {"cut_free": {**free["cut_free"], "m": 5.0}}
-    for known in (FIT, {**FIT, "boundary_check": moved}, {**FIT, "boundary_check": {"cut_free": {}}}):
-        assert force_ratio_on_limb(known) is None
-    found = read(fit=result("fit", {**FIT, "boundary_check": free}))
-    assert found.force_ratio == {"p1": pytest.approx(0.8**0.5)}
-    assert not read(diagnose=result("diagnose", DIAGNOSED)).force_ratio
+    told = told_force()
+    found = force_reading({**FIT, "tissue_force": told, "boundary_check": free})
+    np.testing.assert_allclose(found.forces, np.array(told["fitted_n"]) / [0.9**0.5, 0.8**0.5])
+    np.testing.assert_allclose(found.noise, np.array([0.1, 0.2]) / [0.9**0.5, 0.8**0.5])
+    held = force_reading({**FIT, "tissue_force": told})
+    np.testing.assert_allclose(held.forces, told["fitted_n"])
+    assert force_reading(FIT) is None
+
+
+def test_a_tissues_force_is_that_of_the_fits_simulations():
+    """At a simulated tissue and between two of them; c multiplies the force by its share."""
+    told = told_force()
+    found = force_reading({**FIT, "tissue_force": told})
+    at, slopes = found.predict(np.log([0.008, 4.0, 50.0]))
+    np.testing.assert_allclose(np.exp(at), told["fitted_n"], rtol=1e-6)
+    np.testing.assert_allclose(slopes, [[1.0, 0.2, 0.1], [0.9, 0.3, 0.15]], atol=1e-6)
+    stiffer, _ = found.predict(np.log([0.016, 3.0, 70.0]))
+    expected = np.log(2.0) * np.array([1.0, 0.9]) + np.log([1.0, 3.0])
+    expected += np.log(0.7) * np.array([0.1, 0.15]) + np.log(1.5) * np.array([0.2, 0.3])
+    np.testing.assert_allclose(stiffer, expected, atol=1e-4)
+
+
+def test_a_force_is_read_of_a_fit_but_not_of_a_diagnosis():
+    fit = {**FIT, "tissue_force": told_force()}
+    (site,) = read(fit=result("fit", fit)).sites
+    assert site.force is not None
+    (site,) = read(fit=result("fit", fit), diagnose=result("diagnose", DIAGNOSED)).sites
+    assert site.force is None
 
 
 def test_a_fit_gives_all_parameters_in_mpa_with_intervals_and_correlation():
@@ -180,7 +202,7 @@ def test_a_map_is_left_out_where_the_diagnosis_says_that_speeds_are_misread(meas
 
 
 def test_the_field_of_a_case_in_one_call(measured):
-    there = Results(mesh=mesh(), fit=result("fit", FIT))
+    there = Results(mesh=mesh(), fit=result("fit", {**FIT, "tissue_force": told_force()}))
     found = case_field(
         measured, there, limb_coordinates(limb.SKIN, limb.BONES, limb.AXIS, where="S1"), NOT_KEPT
     )
@@ -191,6 +213,7 @@ def test_the_field_of_a_case_in_one_call(measured):
     assert distance.max() < 10
     words = json.loads(json.dumps(plain(found.to_json())))
     assert words["sites"]["p1"]["c_kpa"][0] == pytest.approx(8.0)
+    assert words["sites"]["p1"]["force_of_field"] == pytest.approx(1.0, abs=0.02)
     for name in ("c", "m", "f_kappa"):
         own = [each["probability"] for each in words["hypotheses"] if each["parameter"] == name]
         assert sum(own) == pytest.approx(1.0)

@@ -19,9 +19,11 @@ from limbcli.stages.cohort import RESULT, read_cohort
 from limbcli.stages.limb_field.site_results import LimbReadings, site_results
 from limbcli.stiffness_field import (
     LABELS,
+    PARAMETERS,
     PRIORS,
     FieldPrior,
     LimbCoordinates,
+    SiteReading,
     StiffnessField,
     contradictions,
     held_out,
@@ -46,6 +48,14 @@ class CaseField:
             np.isfinite(found.distance), found.distance, np.nan
         )  # fmt: skip
 
+    def force_ratio(self, site: SiteReading) -> float | None:
+        """Force of a site's model with the field's tissue over the force read, at its deepest level; None
+        without a force."""
+        if site.force is None:
+            return None
+        tissue = [self.field.values_of(name, site.points).value for name in PARAMETERS]
+        return site.force.ratio(np.log(tissue).mean(axis=1))
+
     def to_json(self) -> dict[str, Any]:
         """Sites, hypotheses, held-out test and priors, as plain values with units in the keys."""
         field = self.field
@@ -58,7 +68,7 @@ class CaseField:
                         ("c_kpa" if name == "c" else name): _in_kpa(name, [v.value, v.low, v.high])
                         for name, v in each.values.items()
                     },
-                    "force_ratio_on_limb": self.results.force_ratio.get(each.name),
+                    "force_of_field": self.force_ratio(each),
                 }
                 for each in field.sites
             },
@@ -79,7 +89,7 @@ class CaseField:
                     "variation_of_ln": each.variation, "own_error_of_ln": each.own_error,
                     "probability": share,
                 }
-                for name in field.parts
+                for name in PARAMETERS
                 for each, share in field.hypotheses(name)
             ],
             "held_out": {

@@ -1,0 +1,66 @@
+"""What the force under a site's probe says of its c, m and f_kappa together.
+
+A force often tells neither m nor f_kappa alone, but well which c, m and f_kappa give it. About one tissue it
+is linear in their logarithms, and then equal to a normal reading of all three: values, and a covariance that
+is wide along what the force does not tell.
+
+The reading's noise is that of the measurement alone, so that the field's tissue gives the force. The errors
+of the site's model (mesh, boundaries, geometry) would have the field's tissue give another one; they count in
+the field's intervals and draws instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from limbcli.model import Array
+
+_SILENT = 1e-4  # precision of ln of a parameter along what the force does not tell
+
+ForceOf = Callable[[Array], tuple[Array, Array]]
+"""ln of c (MPa), m, f_kappa (3,) -> ln of the forces (n,) N and their derivatives (n, 3)."""
+
+
+@dataclass(frozen=True, eq=False)
+class ForceReading:
+    """Forces of a site at n depths.
+
+    forces, noise : (n,) N, and their standard deviations, independent of each other
+    model_errors : (k, n) of ln force, one standard deviation of each error of the model
+    predict : the forces of a tissue
+    """
+
+    forces: Array
+    noise: Array
+    model_errors: Array
+    predict: ForceOf
+
+    def ratio(self, logs: Array) -> float:
+        """Force of a tissue, ln of c, m, f_kappa (3,), at the last depth over that read."""
+        return float(np.exp(self.predict(logs)[0][-1]) / self.forces[-1])
+
+
+@dataclass(frozen=True, eq=False)
+class LinearReading:
+    """A normal reading of ln c, ln m, ln f_kappa: values (3,), covariance (3, 3) of noise, and of the model's
+    errors."""
+
+    values: Array
+    noise: Array
+    model_error: Array
+
+
+def linear_reading(reading: ForceReading, logs: Array) -> LinearReading:
+    """The reading about a tissue, ln of c, m, f_kappa (3,)."""
+    log_force, slopes = reading.predict(logs)
+    scale = np.exp(log_force) / reading.noise
+    columns = scale[:, None] * slopes
+    precision, axes = np.linalg.eigh(columns.T @ columns)
+    noise = (axes / (np.maximum(precision, 0.0) + _SILENT)) @ axes.T
+    to_values = noise @ columns.T
+    values = logs + to_values @ ((reading.forces / reading.noise) - scale)
+    moved = to_values @ (scale * reading.model_errors).T
+    return LinearReading(values, noise, moved @ moved.T)
