@@ -91,8 +91,8 @@ def told_force() -> dict:
 
 
 def test_a_fits_force_is_read_as_one_of_the_limb_half_way_to_free_cuts():
-    """Free cuts take a fifth at the deepest level: half-way in logarithms the limb has sqrt(0.8) of the force,
-    and needs a tissue that gives as much more in the site's model."""
+    """Free cuts take a fifth at the deepest level: half-way in logarithms the limb has sqrt(0.8) of the
+    force, and needs a tissue that gives as much more in the site's model."""
     free = {"cut_free": {"depths_mm": [2.0, 4.0], "force_change_fraction": [-0.1, -0.2]}}
     told = told_force()
     found = force_reading({**FIT, "tissue_force": told, "boundary_check": free})
