@@ -146,7 +146,7 @@ class Conditioned:
     made normal.
 
     hypotheses : in the order of `PARAMETERS`
-    model_error : as of `FieldReadings`, with the own errors of forces
+    model_error : as of `FieldReadings`
     weights : (n,) the inverse covariance times the readings' distance from the prior mean
     """
 
@@ -448,11 +448,7 @@ def conditioned(
     if late:
         root = np.linalg.cholesky(covariance + noise)
     weights = cho_solve((root, True), values - mean)
-    model_error = readings.model_error.copy()
-    for first in readings.forces:
-        rows = np.arange(first, first + len(PARAMETERS))
-        model_error[rows, rows] += [each.own_error**2 for each in hypotheses]
-    return Conditioned(hypotheses, log_evidence, values, noise, model_error, (root, True), weights)
+    return Conditioned(hypotheses, log_evidence, values, noise, readings.model_error, (root, True), weights)
 
 
 def _prior_covariance(

@@ -23,27 +23,11 @@ def linear(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return AT + SLOPES @ logs, SLOPES
 
 
-def bent(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As tissue does: m has little influence near 1, f_kappa little where it is large."""
-    c, m, f_kappa = logs
-    tight = 1.0 / (1.0 + np.exp(2.0 - 0.7 * f_kappa))
-    value = AT + c + np.array([0.02, 0.06]) * np.exp(m) + np.array([0.6, 0.8]) * tight
-    slope = np.stack(
-        [
-            np.ones(2),
-            np.array([0.02, 0.06]) * np.exp(m),
-            np.array([0.6, 0.8]) * 0.7 * tight * (1.0 - tight),
-        ],
-        axis=1,
-    )
-    return value, slope
-
-
-def site(name, where, predict, tissue, *, noise=0.005, gain=0.0, c_deviation=0.1) -> SiteReading:
-    """A site that reads c = 10 kPa, and the force of a tissue (c in MPa, m, f_kappa)."""
-    forces = np.exp(predict(np.log(tissue))[0])
-    force = ForceReading(forces, noise * forces, np.full((1, 2), gain), predict)
-    return replace(limb.site(name, limb.region(*where), 0.01, c_deviation), force=force)
+def linear_site(*, noise=0.005, gain=0.0) -> SiteReading:
+    """A site that reads c = 10 kPa, and the force of another tissue."""
+    forces = np.exp(linear(np.log([0.012, 6.0, 200.0]))[0])
+    force = ForceReading(forces, noise * forces, np.full((1, 2), gain), linear)
+    return replace(limb.site("p1", limb.region(*PLACES[1]), 0.01, 0.1), force=force)
 
 
 @pytest.fixture(scope="module")
@@ -60,7 +44,7 @@ def test_the_fields_tissue_gives_the_force_of_every_site(coordinates):
     """Three sites of different tissue, far from the prior's m and f_kappa, over the usual hypotheses."""
     tissues = [(0.009, 1.5, 20.0), (0.011, 7.0, 300.0), (0.010, 2.5, 60.0)]
     sites = [
-        site(f"p{k}", where, bent, np.array(tissue))
+        limb.with_force(limb.site(f"p{k}", limb.region(*where), 0.01, 0.1), np.array(tissue), noise=0.005)
         for k, (where, tissue) in enumerate(zip(PLACES, tissues, strict=True))
     ]
     field = stiffness_field(coordinates, sites)
@@ -75,7 +59,7 @@ def test_one_force_gives_the_closed_form_and_the_models_errors_only_widen_it(coo
     """A force linear in the logarithms, beside a reading of c: the estimate of least squares with the noise
     alone, and its variance with the model's error as well."""
     noise, gain = 0.02, 0.1
-    read = site("p1", PLACES[1], linear, np.array([0.012, 6.0, 200.0]), noise=noise, gain=gain)
+    read = linear_site(noise=noise, gain=gain)
     field = stiffness_field(coordinates, [read], grid=ONE)
     here = coordinates.places(read.points)
     own = 0.09 * correlation(here, here, Lengths(80.0, 1.0, 1.0)).mean()
@@ -95,10 +79,8 @@ def test_one_force_gives_the_closed_form_and_the_models_errors_only_widen_it(coo
 
 
 def test_draws_give_the_force_within_its_noise_and_the_errors_of_the_model(coordinates):
-    exact, unsure = (
-        site("p1", PLACES[1], linear, np.array([0.012, 6.0, 200.0]), gain=gain) for gain in (0.0, 0.1)
-    )
-    for read, low, high in ((exact, 0.002, 0.01), (unsure, 0.07, 0.13)):
+    for gain, low, high in ((0.0, 0.002, 0.01), (0.1, 0.07, 0.13)):
+        read = linear_site(gain=gain)
         draws = Draws(stiffness_field(coordinates, [read], grid=ONE))
         places = coordinates.places(read.points)
         ratios = [np.log(read.force.ratio(draws.draw(k).logs(places).mean(axis=0))) for k in range(draws.n)]
