@@ -24,23 +24,32 @@ ForceOf = Callable[[Array], tuple[Array, Array]]
 """ln of c (MPa), m, f_kappa (3,) -> ln of the forces (n,) N and their derivatives (n, 3)."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class ForceReading:
-    """Forces of a site at n depths.
+    """Forces of a site, as its own model has them, at n depths.
 
-    forces, noise : (n,) N, and their standard deviations, independent of each other
+    depths : (n,) mm; fitted, noise : (n,) N, and their standard deviations, independent of each other
+    limb_over_site : (n,) force of the limb over that of the site's model, of the same tissue
     model_errors : (k, n) of ln force, one standard deviation of each error of the model
-    predict : the forces of a tissue
+    predict : the forces of a tissue in the site's model
     """
 
-    forces: Array
+    depths: Array
+    fitted: Array
     noise: Array
+    limb_over_site: Array
     model_errors: Array
     predict: ForceOf
 
+    def off(self, logs: Array) -> Array:
+        """How far the limb's forces (n,) of a tissue, ln of c, m, f_kappa (3,), are from those read, in
+        standard deviations."""
+        return np.asarray((self.fitted - self.limb_over_site * np.exp(self.predict(logs)[0])) / self.noise)
+
     def ratio(self, logs: Array) -> float:
-        """Force of a tissue, ln of c, m, f_kappa (3,), at the last depth over that read."""
-        return float(np.exp(self.predict(logs)[0][-1]) / self.forces[-1])
+        """The limb's force of a tissue over that read, at the deepest level."""
+        k = int(np.argmax(self.depths))
+        return float(self.limb_over_site[k] * np.exp(self.predict(logs)[0][k]) / self.fitted[k])
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,11 +65,10 @@ class LinearReading:
 def linear_reading(reading: ForceReading, logs: Array) -> LinearReading:
     """The reading about a tissue, ln of c, m, f_kappa (3,)."""
     log_force, slopes = reading.predict(logs)
-    scale = np.exp(log_force) / reading.noise
+    scale = reading.limb_over_site * np.exp(log_force) / reading.noise
     columns = scale[:, None] * slopes
     precision, axes = np.linalg.eigh(columns.T @ columns)
     noise = (axes / (np.maximum(precision, 0.0) + _SILENT)) @ axes.T
     to_values = noise @ columns.T
-    values = logs + to_values @ ((reading.forces / reading.noise) - scale)
     moved = to_values @ (scale * reading.model_errors).T
-    return LinearReading(values, noise, moved @ moved.T)
+    return LinearReading(logs + to_values @ reading.off(logs), noise, moved @ moved.T)

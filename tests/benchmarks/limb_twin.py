@@ -45,6 +45,7 @@ from limbcli.numbers.mesh_bounds import MARGIN_MM
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult
 from limbcli.site_model.indentation_model import TISSUE, indentation_model, starting_depth
+from limbcli.site_model.limb_under_probe import limb_forces
 from limbcli.site_model.mesh_study import StudiedTissue, full_depth, reference_force
 from limbcli.site_model.segmented_limb import named_surfaces, site_position
 from limbcli.site_model.site_layers import layer_laws, layers_in, with_layer_laws
@@ -134,13 +135,11 @@ def print_fields(case: Case, out: Path) -> None:
             continue
         depths, measured, fitted = levels_of_fit(fit)
         to_model = np.linalg.inv(np.array(mesh.data["frame"]["patient_from_model"], float))
-        bones = [each for body in limb.bodies for each in body.node_sets]
-        placed = with_probe(limb.mesh, to_model, bones, shape)
         tissue = tissue_at(limb, region_of_site(mesh))
         local = load_model(mesh.path("model"))
         local = with_layer_laws(local, layer_laws(site, layers_in(local)))
         of_site = forces_of(local, depths, tissue)
-        of_limb = forces_of(placed, depths, tissue, like=limb)
+        of_limb = limb_forces(limb, PlacedProbe(shape, to_model), depths)
         shares = [
             f"{100 * (each[-1] / fitted[-1] - 1):+.1f} % (levels {100 * (each / fitted - 1).min():+.1f} to "
             f"{100 * (each / fitted - 1).max():+.1f})" for each in (of_site, of_limb)
@@ -179,18 +178,10 @@ def tissue_at(limb: LimbModel, region: Array) -> StudiedTissue:
     return StudiedTissue(2.0 * c1, kappa / (2.0 * c1), m1, "field")
 
 
-def forces_of(
-    model: LimbModel, depths: Array, tissue: StudiedTissue, *, like: LimbModel | None = None
-) -> Array:
-    """Forces (n,) N at depths (n,) mm of a model with a probe.
-
-    like : a model of the same elements, whose laws are taken instead of `tissue`
-    """
+def forces_of(model: LimbModel, depths: Array, tissue: StudiedTissue) -> Array:
+    """Forces (n,) N at depths (n,) mm of a site's model."""
     plan = schedule(depths.tolist(), start=starting_depth(model, float(depths[0])))
-    ready = indentation_model(model, plan, c=tissue.c, f_kappa=tissue.f_kappa, m=tissue.m)
-    if like is not None:
-        ready = replace(ready, materials=like.materials, domains=like.domains)
-    session = ReferenceSession(ready)
+    session = ReferenceSession(indentation_model(model, plan, c=tissue.c, f_kappa=tissue.f_kappa, m=tissue.m))
     try:
         return session.solve().must_points.forces
     finally:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -11,14 +12,16 @@ import numpy as np
 import pytest
 
 from limbcli.case.parts import StatedNoise
-from limbcli.errors import CaseError, FitError
+from limbcli.errors import CaseError, FitError, SolveError
 from limbcli.files.atomic import sha256
 from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.results import StageResult, StageWriter, open_stage, plain, write_sealed
-from limbcli.stages.limb_field.case_field import case_field, cohort_priors
+from limbcli.stages.limb_field import limb_force
+from limbcli.stages.limb_field.case_field import CaseField, case_field, cohort_priors
+from limbcli.stages.limb_field.limb_force import as_on_limb
 from limbcli.stages.limb_field.site_force import force_reading
-from limbcli.stages.limb_field.site_results import of_diagnosis, of_fit, site_results
-from limbcli.stiffness_field import LABELS, limb_coordinates
+from limbcli.stages.limb_field.site_results import LimbReadings, of_diagnosis, of_fit, site_results
+from limbcli.stiffness_field import LABELS, limb_coordinates, stiffness_field
 from tests.stiffness_field import synthetic as limb
 
 NOT_KEPT = Mock(spec=StageWriter)
@@ -96,10 +99,11 @@ def test_a_fits_force_is_read_as_one_of_the_limb_half_way_to_free_cuts():
     free = {"cut_free": {"depths_mm": [2.0, 4.0], "force_change_fraction": [-0.1, -0.2]}}
     told = told_force()
     found = force_reading({**FIT, "tissue_force": told, "boundary_check": free})
-    np.testing.assert_allclose(found.forces, np.array(told["fitted_n"]) / [0.9**0.5, 0.8**0.5])
-    np.testing.assert_allclose(found.noise, np.array([0.1, 0.2]) / [0.9**0.5, 0.8**0.5])
+    np.testing.assert_allclose(found.limb_over_site, [0.9**0.5, 0.8**0.5])
+    stiffer = np.log([0.008 / 0.8 ** (0.5 / 0.9), 4.0, 50.0])  # of c, with its share of 0.9
+    assert found.ratio(stiffer) == pytest.approx(1.0, rel=1e-4)
     held = force_reading({**FIT, "tissue_force": told})
-    np.testing.assert_allclose(held.forces, told["fitted_n"])
+    np.testing.assert_allclose(held.limb_over_site, 1.0)
     assert force_reading(FIT) is None
 
 
@@ -159,6 +163,54 @@ def test_a_result_that_lacks_a_value_is_an_error_of_its_site():
     with pytest.raises(FitError, match="lack a value") as caught:
         read(fit=result("fit", broken))
     assert "site p1" in str(caught.value)
+
+
+@pytest.fixture
+def two_sites():
+    """A field through two sites of unlike tissue with forces."""
+    tissues = {"p1": [0.008, 2.0, 60.0], "p2": [0.014, 6.0, 300.0]}
+    sites = [
+        limb.with_force(limb.site(name, limb.region(*where), tissue[0], 0.1), np.array(tissue), noise=0.01)
+        for (name, tissue), where in zip(tissues.items(), [(60, 0), (160, 180)], strict=True)
+    ]
+    return CaseField(stiffness_field(limb.coordinates(), sites), LimbReadings(sites))
+
+
+def answering(monkeypatch, less: float, *, stuck: str = "") -> list[str]:
+    """A limb that gives this share of the force of the sites' models; returns the list of its simulations."""
+    asked: list[str] = []
+
+    def forces_of(found, name, depths, *, progress):
+        asked.append(name)
+        if name == stuck:
+            raise SolveError("no equilibrium", where="limb", fix="none")
+        (site,) = (each for each in found.field.sites if each.name == name)
+        at = np.isin(site.force.depths, depths)
+        return less * np.exp(site.force.predict(found.tissue_of(name))[0][at])
+
+    monkeypatch.setattr(limb_force, "limb_forces", forces_of)
+    return asked
+
+
+def test_the_fields_tissue_makes_up_for_what_the_limb_takes_from_a_sites_force(two_sites, monkeypatch):
+    asked, warnings = answering(monkeypatch, 0.8), []
+    found = as_on_limb(two_sites, lambda each: each, {"p1": "p1", "p2": "p2"}, warnings)
+    for site in found.field.sites:
+        alone = replace(site.force, limb_over_site=np.ones(2)).ratio(found.tissue_of(site.name))
+        assert 0.8 * alone == pytest.approx(1.0, abs=0.01)
+        assert found.force_on_limb[site.name] == pytest.approx(1.0, abs=0.01)
+    assert len(asked) == 4  # once more to be sure
+    assert not warnings
+
+
+def test_a_site_whose_force_cannot_be_simulated_on_the_limb_stays_and_is_told(two_sites, monkeypatch):
+    asked, warnings = answering(monkeypatch, 0.8, stuck="p1"), []
+    found = as_on_limb(two_sites, lambda each: each, {"p1": "p1", "p2": "p2"}, warnings)
+    assert "site p1" in warnings[0]
+    assert len(warnings) == 1
+    assert set(found.force_on_limb) == {"p2"}
+    assert found.field.sites[0].force is two_sites.field.sites[0].force
+    assert asked.count("p1") == 1
 
 
 LEVELS = "force_n,depth_mm\n0,0\n2,2\n4,4\n6,5\n"

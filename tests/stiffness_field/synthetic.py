@@ -9,7 +9,7 @@ import numpy as np
 
 from limbcli.meshing.surfaces import Triangles
 from limbcli.stiffness_field.coordinates import LimbCoordinates, limb_coordinates
-from limbcli.stiffness_field.forces import ForceReading
+from limbcli.stiffness_field.forces import ForceOf, ForceReading
 from limbcli.stiffness_field.likelihood import Interval
 from limbcli.stiffness_field.readings import SiteReading, region_below
 
@@ -90,8 +90,17 @@ def with_force(read: SiteReading, tissue: np.ndarray, *, noise: float, gain: flo
 
     gain : standard deviation of ln of the error of its model; off : that error
     """
-    forces = np.exp(force_of(np.log(tissue))[0] + off)
-    return replace(read, force=ForceReading(forces, noise * forces, np.full((1, 2), gain), force_of))
+    return replace(
+        read, force=force_reading(force_of, np.exp(force_of(np.log(tissue))[0] + off), noise=noise, gain=gain)
+    )
+
+
+def force_reading(predict: ForceOf, forces: np.ndarray, *, noise: float, gain: float) -> ForceReading:
+    """Forces at two depths with noise (a fraction) and an error of the model (standard deviation of ln)."""
+    return ForceReading(
+        depths=np.array([2.0, 4.0]), fitted=forces, noise=noise * forces, limb_over_site=np.ones(2),
+        model_errors=np.full((1, 2), gain), predict=predict,
+    )  # fmt: skip
 
 
 def tissue_points(n: int, rng: np.random.Generator) -> np.ndarray:

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.stiffness_field import PRIORS, Draws, ForceReading, HypothesisGrid, SiteReading, stiffness_field
+from limbcli.stiffness_field import PRIORS, Draws, HypothesisGrid, SiteReading, stiffness_field
 from limbcli.stiffness_field.field import _combined
 from limbcli.stiffness_field.kernel import Lengths, correlation
 from limbcli.stiffness_field.readings import PARAMETERS
@@ -26,7 +26,7 @@ def linear(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def linear_site(*, noise=0.005, gain=0.0) -> SiteReading:
     """A site that reads c = 10 kPa, and the force of another tissue."""
     forces = np.exp(linear(np.log([0.012, 6.0, 200.0]))[0])
-    force = ForceReading(forces, noise * forces, np.full((1, 2), gain), linear)
+    force = limb.force_reading(linear, forces, noise=noise, gain=gain)
     return replace(limb.site("p1", limb.region(*PLACES[1]), 0.01, 0.1), force=force)
 
 
@@ -67,7 +67,7 @@ def test_one_force_gives_the_closed_form_and_the_models_errors_only_widen_it(coo
     mean = np.array([PRIORS[name].mean for name in PARAMETERS])
     rows = np.vstack([[1.0, 0.0, 0.0], SLOPES])
     counted = np.diag([0.1, noise, noise]) ** 2
-    told = np.r_[np.log(0.01), np.log(read.force.forces) - AT]
+    told = np.r_[np.log(0.01), np.log(read.force.fitted) - AT]
     weights = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + counted)
     expected = mean + weights @ (told - rows @ mean)
     error = weights @ np.r_[0.0, gain, gain]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -23,7 +24,6 @@ from limbcli.stiffness_field import (
     PRIORS,
     FieldPrior,
     LimbCoordinates,
-    SiteReading,
     StiffnessField,
     contradictions,
     held_out,
@@ -34,10 +34,14 @@ from limbcli.stiffness_field.likelihood import REACH
 
 @dataclass(frozen=True, eq=False)
 class CaseField:
-    """The field of a case, and the readings that it comes from."""
+    """The field of a case, and the readings that it comes from.
+
+    force_on_limb : by site, the limb's simulated force at the deepest level over that of the fit
+    """
 
     field: StiffnessField
     results: LimbReadings
+    force_on_limb: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def element_columns(self, points: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Of points (n, 3), mm, LPS: c, c_low, c_high (MPa), index of the label in `LABELS`, distance (mm,
@@ -48,13 +52,10 @@ class CaseField:
             np.isfinite(found.distance), found.distance, np.nan
         )  # fmt: skip
 
-    def force_ratio(self, site: SiteReading) -> float | None:
-        """Force of a site's model with the field's tissue over the force read, at its deepest level; None
-        without a force."""
-        if site.force is None:
-            return None
-        tissue = [self.field.values_of(name, site.points).value for name in PARAMETERS]
-        return site.force.ratio(np.log(tissue).mean(axis=1))
+    def tissue_of(self, name: str) -> Array:
+        """ln of the field's c (MPa), m, f_kappa (3,) at a site: means over what it averages."""
+        points = next(each.points for each in self.field.sites if each.name == name)
+        return np.array([np.log(self.field.values_of(each, points).value).mean() for each in PARAMETERS])
 
     def to_json(self) -> dict[str, Any]:
         """Sites, hypotheses, held-out test and priors, as plain values with units in the keys."""
@@ -68,7 +69,10 @@ class CaseField:
                         ("c_kpa" if name == "c" else name): _in_kpa(name, [v.value, v.low, v.high])
                         for name, v in each.values.items()
                     },
-                    "force_of_field": self.force_ratio(each),
+                    "force_of_field": (
+                        each.force.ratio(self.tissue_of(each.name)) if each.force is not None else None
+                    ),
+                    "force_on_limb": self.force_on_limb.get(each.name),
                 }
                 for each in field.sites
             },

@@ -1,8 +1,8 @@
 """The force of a fitted site as a reading of the stiffness field.
 
 The field's tissue is to give the force that the fit found, in the whole limb. A site's model is held at its
-cuts, a limb gives way beyond them: it needs a tissue with as much more force in the site's model as it gives
-less, half-way (in logarithms) to what free cuts change.
+cuts, a limb gives way beyond them. Where its force was not simulated (`limb_force`), it is taken to lie
+half-way (in logarithms) to that with free cuts.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ def force_reading(data: Mapping[str, Any]) -> ForceReading | None:
     told = data.get("tissue_force")
     if not told:
         return None
-    less = limb_over_site(data, np.array(told["depths_mm"], float))
+    depths = np.array(told["depths_mm"], float)
     solved, log_c = told["simulated"], float(np.log(mpa_from_kpa(float(data["c_kpa"]))))
     share = np.array(told["c_share"], float)
     places = np.log([solved["m"], solved["f_kappa"]]).T
@@ -39,14 +39,15 @@ def force_reading(data: Mapping[str, Any]) -> ForceReading | None:
         return value + share * (logs[0] - log_c), np.column_stack([share, slope])
 
     return ForceReading(
-        np.array(told["fitted_n"], float) / less, np.array(told["noise_n"], float) / less,
-        np.array(told["model_errors_of_ln"], float), predict,
+        depths=depths, fitted=np.array(told["fitted_n"], float), noise=np.array(told["noise_n"], float),
+        limb_over_site=half_way_to_free(data, depths),
+        model_errors=np.array(told["model_errors_of_ln"], float), predict=predict,
     )  # fmt: skip
 
 
-def limb_over_site(data: Mapping[str, Any], depths: Array) -> Array:
-    """Force of the whole limb over that of the site's model at depths (n,) mm, with the same tissue; 1 where
-    free cuts were not simulated."""
+def half_way_to_free(data: Mapping[str, Any], depths: Array) -> Array:
+    """Force of the whole limb over that of the site's model at depths (n,) mm, of the same tissue, as taken
+    where it was not simulated; 1 where free cuts were not either."""
     freed = (data.get("boundary_check") or {}).get("cut_free", {})
     if not freed.get("depths_mm"):
         return np.ones(len(depths))

@@ -1,0 +1,79 @@
+"""The forces of the sites as the limb's own model gives them: a probe is set on it at every site.
+
+Half-way to free cuts is an estimate of what a limb takes from the force of a site's model. Where the limb's
+mesh is made for the probe, its own force is simulated instead, with the field's tissue, and the field is
+conditioned anew on what is missing of the force that was read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.meshing.probe import PlacedProbe
+from limbcli.model import Array, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.site_model.limb_under_probe import limb_forces
+from limbcli.stages.limb_field.case_field import CaseField
+from limbcli.stiffness_field import ForceReading, stiffness_field
+
+_MOST_DEPTHS = 3
+_ROUNDS, _SAME = 3, 0.01  # simulations of every site; how far off its force may be
+
+
+def as_on_limb(
+    found: CaseField, model_of: Callable[[CaseField], LimbModel], probes: Mapping[str, PlacedProbe],
+    warnings: list[str], *, progress: Progress = SILENT,
+) -> CaseField:  # fmt: skip
+    """The field with whose tissue the limb's model gives the forces that the fits found.
+
+    model_of : the limb with a field's tissue; probes : by the site's name
+    warnings : gets a sentence for a site whose force cannot be simulated; it stays as it was
+    """
+    forces = {each.name: each.force for each in found.field.sites if each.force and each.name in probes}
+    for number in range(_ROUNDS if forces else 0):
+        model, on_limb = model_of(found), dict[str, float]()
+        for name, force in list(forces.items()):
+            progress.event("note", text=f"the limb under a probe at site {name}")
+            depths = _some(force.depths)
+            try:
+                simulated = limb_forces(model, probes[name], depths, progress=progress)
+            except SolveError as error:
+                del forces[name]
+                warnings.append(
+                    f"site {name}: the limb's force under the probe was not simulated ({error.what}); it is "
+                    "estimated half-way to that of the site's model with free cuts"
+                )
+                continue
+            deepest = int(np.argmax(force.depths))
+            on_limb[name] = float(simulated[-1] / force.fitted[deepest])
+            forces[name] = _as_on_limb(force, found.tissue_of(name), depths, simulated)
+        found = replace(found, force_on_limb=on_limb)
+        if number == _ROUNDS - 1 or all(abs(each - 1.0) < _SAME for each in on_limb.values()):
+            break
+        sites = [replace(each, force=forces.get(each.name, each.force)) for each in found.field.sites]
+        field = found.field
+        again = stiffness_field(field.limb, sites, field.maps, priors=field.priors)
+        found = replace(found, field=again)
+    return found
+
+
+def _as_on_limb(force: ForceReading, tissue: Array, depths: Array, on_limb: Array) -> ForceReading:
+    """The reading with the limb's forces `on_limb` (n,) N at depths (n,) mm over those of the site's model.
+
+    tissue : ln of c, m, f_kappa (3,) of both
+    """
+    order = np.argsort(force.depths, kind="stable")
+    of_site = np.interp(depths, force.depths[order], force.predict(tissue)[0][order])
+    ratio = np.exp(np.interp(force.depths, depths, np.log(on_limb) - of_site))
+    return replace(force, limb_over_site=ratio)
+
+
+def _some(depths: Array) -> Array:
+    """A few of the depths, increasing, the deepest among them."""
+    unlike = np.unique(depths)
+    n = min(_MOST_DEPTHS, len(unlike))
+    return np.asarray(unlike[np.linspace(len(unlike) - 1, 0, n + 1).round().astype(int)[:n]][::-1])
