@@ -22,6 +22,7 @@ from limbcli.stiffness_field import ForceReading, stiffness_field
 
 _MOST_DEPTHS = 3
 _ROUNDS, _SAME = 3, 0.01  # simulations of every site; how far off its force may be
+_TOLD = 0.02  # how far off it may be without a warning
 
 
 def as_on_limb(
@@ -58,6 +59,12 @@ def as_on_limb(
         field = found.field
         again = stiffness_field(field.limb, sites, field.maps, priors=field.priors)
         found = replace(found, field=again)
+    warnings += [
+        f"site {name}: the limb's force under the probe is {100 * each:.0f} % of the fit's: the site's model "
+        "is too unlike the limb's (its mesh, or cuts too near the probe). Mesh it with a larger --margin-mm or "
+        "as tet10, and fit again"
+        for name, each in found.force_on_limb.items() if abs(each - 1.0) > _TOLD
+    ]  # fmt: skip
     return found
 
 
