@@ -61,8 +61,8 @@ def as_on_limb(
         found = replace(found, field=again)
     warnings += [
         f"site {name}: the limb's force under the probe is {100 * each:.0f} % of the fit's: the site's model "
-        "is too unlike the limb's (its mesh, or cuts too near the probe). Mesh it with a larger --margin-mm or "
-        "as tet10, and fit again"
+        "is too unlike the limb's (its mesh, or cuts too near the probe). Mesh it with a larger --margin-mm "
+        "or as tet10, and fit again"
         for name, each in found.force_on_limb.items() if abs(each - 1.0) > _TOLD
     ]  # fmt: skip
     return found
