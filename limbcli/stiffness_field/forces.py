@@ -4,9 +4,8 @@ A force often tells neither m nor f_kappa alone, but well which c, m and f_kappa
 is linear in their logarithms, and then equal to a normal reading of all three: values, and a covariance that
 is wide along what the force does not tell.
 
-The reading's noise is that of the measurement alone, so that the field's tissue gives the force. The errors
-of the site's model (mesh, boundaries, geometry) would have the field's tissue give another one; they count in
-the field's intervals and draws instead.
+Errors of the site's model (mesh, boundaries, geometry) are no noise: with them the field's tissue would give
+another force than the one read. They count in the field's intervals and draws alone.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ class ForceReading:
 
     depths : (n,) mm; fitted, noise : (n,) N, and their standard deviations, independent of each other
     limb_over_site : (n,) force of the limb over that of the site's model, of the same tissue
-    model_errors : (k, n) of ln force, one standard deviation of each error of the model
+    model_errors : (k, n) of ln force, one standard deviation of each error that does not move the field
     predict : the forces of a tissue in the site's model
     """
 

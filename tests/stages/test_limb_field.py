@@ -107,6 +107,14 @@ def test_a_fits_force_is_read_as_one_of_the_limb_half_way_to_free_cuts():
     assert force_reading(FIT) is None
 
 
+def test_the_deepest_force_is_met_and_its_noise_widens_the_field():
+    told = told_force()
+    found = force_reading({**FIT, "tissue_force": told})
+    np.testing.assert_allclose(found.noise, [0.1, 0.01 * told["fitted_n"][1]])
+    np.testing.assert_allclose(found.model_errors[:2], told["model_errors_of_ln"])
+    np.testing.assert_allclose(found.model_errors[2], [0.0, 0.2 / told["fitted_n"][1]])
+
+
 def test_a_tissues_force_is_that_of_the_fits_simulations():
     """At a simulated tissue and between two of them; c multiplies the force by its share."""
     told = told_force()

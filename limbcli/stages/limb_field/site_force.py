@@ -3,6 +3,9 @@
 The field's tissue is to give the force that the fit found, in the whole limb. A site's model is held at its
 cuts, a limb gives way beyond them. Where its force was not simulated (`limb_force`), it is taken to lie
 half-way (in logarithms) to that with free cuts.
+
+The force at the deepest level is met, the others are within their noise. The noise of the deepest level
+counts as an error that does not move the field but widens its intervals.
 """
 
 from __future__ import annotations
@@ -18,6 +21,7 @@ from limbcli.model import Array
 from limbcli.numbers.units import mpa_from_kpa
 from limbcli.stiffness_field.forces import ForceReading
 
+_MET = 0.01  # how closely the field's tissue gives the force at the deepest level
 KEYS = ("c_kpa", "tissue_force", "boundary_check/cut_free")  # of fit.json
 
 
@@ -38,10 +42,13 @@ def force_reading(data: Mapping[str, Any]) -> ForceReading | None:
         value, slope = surrogate(logs[1:])
         return value + share * (logs[0] - log_c), np.column_stack([share, slope])
 
+    fitted, noise = np.array(told["fitted_n"], float), np.array(told["noise_n"], float)
+    errors, deepest = np.array(told["model_errors_of_ln"], float), int(np.argmax(depths))
+    unsure = np.where(np.arange(len(depths)) == deepest, noise / fitted, 0.0)
+    noise[deepest] = min(noise[deepest], _MET * fitted[deepest])
     return ForceReading(
-        depths=depths, fitted=np.array(told["fitted_n"], float), noise=np.array(told["noise_n"], float),
-        limb_over_site=half_way_to_free(data, depths),
-        model_errors=np.array(told["model_errors_of_ln"], float), predict=predict,
+        depths=depths, fitted=fitted, noise=noise, limb_over_site=half_way_to_free(data, depths),
+        model_errors=np.vstack([errors, unsure]), predict=predict,
     )  # fmt: skip
 
 
