@@ -39,44 +39,50 @@ def as_on_limb(
         model, on_limb = model_of(found), dict[str, float]()
         for name, force in list(forces.items()):
             progress.event("note", text=f"the limb under a probe at site {name}")
-            depths = _some(force.depths)
             try:
-                simulated = limb_forces(model, probes[name], depths, progress=progress)
+                forces[name], on_limb[name] = _simulated(
+                    force, found.tissue_of(name), model, probes[name], progress=progress
+                )
             except SolveError as error:
                 del forces[name]
                 warnings.append(
                     f"site {name}: the limb's force under the probe was not simulated ({error.what}); it is "
                     "estimated half-way to that of the site's model with free cuts"
                 )
-                continue
-            deepest = int(np.argmax(force.depths))
-            on_limb[name] = float(simulated[-1] / force.fitted[deepest])
-            forces[name] = _as_on_limb(force, found.tissue_of(name), depths, simulated)
         found = replace(found, force_on_limb=on_limb)
         if number == _ROUNDS - 1 or all(abs(each - 1.0) < _SAME for each in on_limb.values()):
             break
-        sites = [replace(each, force=forces.get(each.name, each.force)) for each in found.field.sites]
         field = found.field
+        sites = [replace(each, force=forces.get(each.name, each.force)) for each in field.sites]
         again = stiffness_field(field.limb, sites, field.maps, priors=field.priors)
         found = replace(found, field=again)
-    warnings += [
-        f"site {name}: the limb's force under the probe is {100 * each:.0f} % of the fit's: the site's model "
-        "is too unlike the limb's (its mesh, or cuts too near the probe). Mesh it with a larger --margin-mm "
-        "or as tet10, and fit again"
-        for name, each in found.force_on_limb.items() if abs(each - 1.0) > _TOLD
-    ]  # fmt: skip
+    warnings += [_off(*each) for each in found.force_on_limb.items() if abs(each[1] - 1.0) > _TOLD]
     return found
 
 
-def _as_on_limb(force: ForceReading, tissue: Array, depths: Array, on_limb: Array) -> ForceReading:
-    """The reading with the limb's forces `on_limb` (n,) N at depths (n,) mm over those of the site's model.
+def _off(name: str, ratio: float) -> str:
+    return (
+        f"site {name}: the limb's force under the probe is {100 * ratio:.0f} % of the fit's: the site's "
+        "model is too unlike the limb's (its mesh, or cuts too near the probe). Mesh it with a larger "
+        "--margin-mm or as tet10, and fit again"
+    )
 
-    tissue : ln of c, m, f_kappa (3,) of both
+
+def _simulated(
+    force: ForceReading, tissue: Array, limb: LimbModel, probe: PlacedProbe, *, progress: Progress
+) -> tuple[ForceReading, float]:
+    """The reading with the limb's simulated force over that of the site's model, and its ratio to the force
+    read at the deepest level.
+
+    tissue : ln of c, m, f_kappa (3,) of the limb at the site
     """
+    depths = _some(force.depths)
+    on_limb = limb_forces(limb, probe, depths, progress=progress)
     order = np.argsort(force.depths, kind="stable")
     of_site = np.interp(depths, force.depths[order], force.predict(tissue)[0][order])
     ratio = np.exp(np.interp(force.depths, depths, np.log(on_limb) - of_site))
-    return replace(force, limb_over_site=ratio)
+    deepest = int(np.argmax(force.depths))
+    return replace(force, limb_over_site=ratio), float(on_limb[-1] / force.fitted[deepest])
 
 
 def _some(depths: Array) -> Array:
