@@ -18,7 +18,7 @@ from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.results import StageResult, StageWriter, open_stage, plain, write_sealed
 from limbcli.stages.limb_field import limb_force
 from limbcli.stages.limb_field.case_field import CaseField, case_field, cohort_priors
-from limbcli.stages.limb_field.limb_force import as_on_limb
+from limbcli.stages.limb_field.limb_force import as_on_limb, cut_warnings
 from limbcli.stages.limb_field.site_force import force_reading
 from limbcli.stages.limb_field.site_results import LimbReadings, of_diagnosis, of_fit, site_results
 from limbcli.stiffness_field import LABELS, limb_coordinates, stiffness_field
@@ -221,6 +221,16 @@ def test_a_site_whose_force_cannot_be_simulated_on_the_limb_stays_and_is_told(tw
     assert asked.count("p1") == 1
 
 
+def test_cuts_that_take_much_of_a_sites_force_are_told_unless_the_limbs_force_is_known(two_sites):
+    assert not cut_warnings(two_sites)
+    first, *others = two_sites.field.sites
+    near = replace(first, force=replace(first.force, limb_over_site=np.array([0.9, 0.6])))
+    found = replace(two_sites, field=replace(two_sites.field, sites=[near, *others]))
+    (words,) = cut_warnings(found)
+    assert "site p1: the force on the limb is taken as 60 %" in words
+    assert not cut_warnings(replace(found, force_on_limb={"p1": 1.0}))
+
+
 def test_a_limb_that_no_tissue_brings_to_a_sites_force_is_told(two_sites, monkeypatch):
     warnings: list[str] = []
 
@@ -287,6 +297,7 @@ def test_the_field_of_a_case_in_one_call(measured):
     words = json.loads(json.dumps(plain(found.to_json())))
     assert words["sites"]["p1"]["c_kpa"][0] == pytest.approx(8.0)
     assert words["sites"]["p1"]["force_of_field"] == pytest.approx(1.0, abs=0.02)
+    assert words["sites"]["p1"]["limb_over_site"] == 1.0
     for name in ("c", "m", "f_kappa"):
         own = [each["probability"] for each in words["hypotheses"] if each["parameter"] == name]
         assert sum(own) == pytest.approx(1.0)

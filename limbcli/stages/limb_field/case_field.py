@@ -23,6 +23,7 @@ from limbcli.stiffness_field import (
     PARAMETERS,
     PRIORS,
     FieldPrior,
+    ForceReading,
     LimbCoordinates,
     StiffnessField,
     contradictions,
@@ -57,6 +58,13 @@ class CaseField:
         points = next(each.points for each in self.field.sites if each.name == name)
         return np.array([np.log(self.field.values_of(each, points).value).mean() for each in PARAMETERS])
 
+    def _of_force(self, name: str, force: ForceReading) -> dict[str, Any]:
+        return {
+            "limb_over_site": float(force.limb_over_site[np.argmax(force.depths)]),
+            "force_of_field": force.ratio(self.tissue_of(name)),
+            "force_on_limb": self.force_on_limb.get(name),
+        }
+
     def to_json(self) -> dict[str, Any]:
         """Sites, hypotheses, held-out test and priors, as plain values with units in the keys."""
         field = self.field
@@ -69,10 +77,7 @@ class CaseField:
                         ("c_kpa" if name == "c" else name): _in_kpa(name, [v.value, v.low, v.high])
                         for name, v in each.values.items()
                     },
-                    "force_of_field": (
-                        each.force.ratio(self.tissue_of(each.name)) if each.force is not None else None
-                    ),
-                    "force_on_limb": self.force_on_limb.get(each.name),
+                    **({} if each.force is None else self._of_force(each.name, each.force)),
                 }
                 for each in field.sites
             },

@@ -22,6 +22,7 @@ from limbcli.stiffness_field import ForceReading, stiffness_field
 
 _MOST_DEPTHS = 3
 _ROUNDS, _SAME = 3, 0.01  # simulations of every site; how far off its force may be
+_CUT_TOO_NEAR = 0.85  # limb's force over that of a site's model below which half-way to free cuts is a guess
 _TOLD = 0.02  # how far off it may be without a warning
 
 
@@ -58,6 +59,18 @@ def as_on_limb(
         found = replace(found, field=again)
     warnings += [_off(*each) for each in found.force_on_limb.items() if abs(each[1] - 1.0) > _TOLD]
     return found
+
+
+def cut_warnings(found: CaseField) -> list[str]:
+    """Sentences on sites whose cuts take so much of their force that the limb's is a guess."""
+    return [
+        f"site {site.name}: the force on the limb is taken as {100 * least:.0f} % of that in the site's "
+        "model, half-way to free cuts: its cuts are too near the probe. Mesh it with a larger --margin-mm and "
+        "fit again, or give --site-size-mm, which simulates the limb's force"
+        for site in found.field.sites
+        if site.force is not None and site.name not in found.force_on_limb
+        and (least := float(site.force.limb_over_site.min())) < _CUT_TOO_NEAR
+    ]  # fmt: skip
 
 
 def _off(name: str, ratio: float) -> str:
