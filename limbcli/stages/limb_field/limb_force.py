@@ -65,8 +65,8 @@ def cut_warnings(found: CaseField) -> list[str]:
     """Sentences on sites whose cuts take so much of their force that the limb's is a guess."""
     return [
         f"site {site.name}: the force on the limb is taken as {100 * least:.0f} % of that in the site's "
-        "model, half-way to free cuts: its cuts are too near the probe. Mesh it with a larger --margin-mm and "
-        "fit again, or give --site-size-mm, which simulates the limb's force"
+        "model, half-way to free cuts: its cuts are too near the probe. Mesh it with a larger --margin-mm "
+        "and fit again, or give --site-size-mm, which simulates the limb's force"
         for site in found.field.sites
         if site.force is not None and site.name not in found.force_on_limb
         and (least := float(site.force.limb_over_site.min())) < _CUT_TOO_NEAR
