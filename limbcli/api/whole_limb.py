@@ -33,7 +33,7 @@ class LimbResult(Result):
     size_mm : usual edge length
     min_angle_deg : smallest dihedral angle
     volume_cm3 : volume of the tissue
-    c_kpa, f_kappa, m : of the tissue's law where no element has a value of its own
+    c_kpa, f_kappa, m : of the tissue; means over the limb where every element has its own
     bones : the rigid bodies
     patches : named patches of the skin; those that cannot be placed are in `missing`, with the reason
     """

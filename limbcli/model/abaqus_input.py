@@ -15,11 +15,13 @@ bulk modulus at rest, 2/D1, is kept: kappa of the uncoupled laws, lambda + 2 mu/
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from scipy.cluster.vq import kmeans2
 
 from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
@@ -330,9 +332,14 @@ def _groups(rows: Array) -> IntArray:
     unlike, inverse = np.unique(rows, axis=0, return_inverse=True)
     if len(unlike) <= _MOST_GROUPS:
         return np.asarray(inverse).reshape(-1)
-    spread = np.ptp(rows, axis=0) / np.maximum(np.abs(rows).mean(axis=0), 1e-300)
-    rank = np.argsort(np.argsort(rows[:, int(np.argmax(spread))], kind="stable"))
-    return np.asarray(rank * _MOST_GROUPS // len(rows))
+    scaled = rows / np.maximum(np.abs(rows).mean(axis=0), 1e-300)
+    rank = np.argsort(np.argsort(scaled[:, int(np.argmax(np.ptp(scaled, axis=0)))], kind="stable"))
+    first = rank * _MOST_GROUPS // len(rows)
+    middles = np.array([scaled[first == k].mean(axis=0) for k in range(_MOST_GROUPS)])
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # that a group has lost all of its rows to others
+        like = kmeans2(scaled, middles, minit="matrix")[1]
+    return np.asarray(np.unique(like, return_inverse=True)[1])
 
 
 # ---------------------------------------------------------------- numbers and names

@@ -41,6 +41,7 @@ from limbcli.fitting.result import Identified, write_agreement, write_result, wr
 from limbcli.fitting.solve_again import CheckSolver, checked_levels
 from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.fitting.table import NAMES
+from limbcli.fitting.tissue_force import write_tissue_force
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import no_narrower
 from limbcli.inference.interval import Stiffness, force_intervals
@@ -172,6 +173,7 @@ def _fit_site(
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
         _write_checks(identified, fitted, again, changed, writer, options)
+        write_tissue_force(identified, writer)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)

@@ -53,9 +53,12 @@ from limbcli.site_model.site_layers import (
     with_layer_laws,
 )
 from limbcli.stages.limb_field.case_field import CaseField, case_field
+from limbcli.stages.limb_field.limb_force import as_on_limb, cut_warnings
 from limbcli.stages.limb_model.element_values import (
+    F_KAPPA,
     ElementValues,
     LimbStiffness,
+    M,
     columns_of,
     element_values,
     field_values,
@@ -145,9 +148,10 @@ def limb(
             element=options.element or case.model.element, nodes=options.nodes, cut=options.cut,
             distal_cut=options.distal_cut or tube, layers=layers,
         )  # fmt: skip
+        probes = {} if options.site_size is None else probes_at(case, body, places)
         if options.site_size is not None:
-            probes = probes_at(case, body, places)
-            mesh_options = replace(mesh_options, probes=probes, under_probe=options.site_size)
+            unlike = tuple(dict.fromkeys(probes.values()))
+            mesh_options = replace(mesh_options, probes=unlike, under_probe=options.site_size)
         found = limb_mesh(body, bones, frame, mesh_options, where=where, progress=progress)
         check_invariants(found)
         parts, surface = parts_of(found, frame, bones)
@@ -155,14 +159,22 @@ def limb(
         laws = _laws(case, layers)
         tissue = mesh.block(TISSUE)
         centroids, sizes = cell_centroids(mesh, tissue), volumes(mesh.points, tissue.cells)
+        bare = with_layer_laws(limb_model(mesh, list(bones), frame, case), laws)
+
+        def with_values(of: ElementValues) -> LimbModel:
+            return with_element_values(bare, tissue, of.c, m=of.m, f_kappa=of.f_kappa)
+
         if field is not None:
+            field = as_on_limb(
+                field, lambda each: with_values(field_values(each, centroids, sizes)[0]), probes,
+                writer.warnings, progress=progress,
+            )  # fmt: skip
             values, stiffness = field_values(field, centroids, sizes)
         else:
             assert stiffness is not None
             used = [places[name] for name in stiffness.sites if name in places]
             values = element_values(centroids, stiffness, np.array(used).reshape(-1, 3))
-        model = with_layer_laws(limb_model(mesh, list(bones), frame, case, stiffness), laws)
-        model = with_element_values(model, tissue, values.c, stiffness)
+        model = with_values(values)
         _report(writer, found, model, parts, frame, stiffness, values)
         if field is not None:
             _report_field(writer, field, values)
@@ -222,6 +234,7 @@ def _report_field(writer: StageWriter, field: CaseField, values: ElementValues) 
     for name, why in content["left_out"].items():
         writer.warnings.append(f"site {name} says nothing of the field: {why}")
     writer.warnings.extend(content["contradictions"])
+    writer.warnings.extend(cut_warnings(field))
 
 
 def _write_draws(
@@ -235,7 +248,7 @@ def _write_draws(
     write_draws(writer.file("draws", "draws.csv"), draws.table(centroids[few], sizes[few]))
     for n, k in enumerate(dict.fromkeys(numbers)):
         progress.event("task", name="limb: models of draws", done=n, total=len(numbers))
-        drawn = model_of_draw(model, tissue, draws.draw(k), centroids, sizes)
+        drawn = model_of_draw(model, tissue, draws.draw(k), centroids)
         write_feb(drawn, writer.file(f"feb_draw_{k:02d}", f"limb_draw_{k:02d}.feb"), templates)
 
 
@@ -334,8 +347,8 @@ def _places(case: Case, segmented: StageResult, skin: Triangles, writer: StageWr
     return found
 
 
-def probes_at(case: Case, body: Limb, places: Mapping[str, Array]) -> tuple[PlacedProbe, ...]:
-    """The case's probe at the sites, once where two share a place and a long axis.
+def probes_at(case: Case, body: Limb, places: Mapping[str, Array]) -> dict[str, PlacedProbe]:
+    """The case's probe at the sites, by the site's name; two that share a place and a long axis share it.
 
     places : (3,) mm, patient LPS, by the site's name
     """
@@ -343,18 +356,23 @@ def probes_at(case: Case, body: Limb, places: Mapping[str, Array]) -> tuple[Plac
     if not np.isfinite([shape.length, shape.width, shape.edge_radius]).all():
         what = "no probe to mesh for: its dimensions are not known"
         raise CaseError(what, where="--site-size-mm", fix="complete [probe], or leave the option out")
-    sites = {(*places[each.name], str(each.long_axis)): each for each in case.sites if each.name in places}
-    frames = (
-        site_frame(body, places[each.name], each.long_axis, shape, where=f"site {each.name}")
-        for each in sites.values()
-    )
-    return tuple(PlacedProbe(shape, each.to_model) for each in frames)
+    unlike: dict[tuple[object, ...], PlacedProbe] = {}
+    found = {}
+    for each in case.sites:
+        if each.name not in places:
+            continue
+        place = places[each.name]
+        key = (*place, str(each.long_axis))
+        if key not in unlike:
+            frame = site_frame(body, place, each.long_axis, shape, where=f"site {each.name}")
+            unlike[key] = PlacedProbe(shape, frame.to_model)
+        found[each.name] = unlike[key]
+    return found
 
 
-def limb_model(
-    mesh: Mesh, bones: list[str], frame: LimbFrame, case: Case, stiffness: LimbStiffness
-) -> LimbModel:
-    """The model at rest: every bone a rigid body of its own, fixed; the proximal cut held; no load."""
+def limb_model(mesh: Mesh, bones: list[str], frame: LimbFrame, case: Case) -> LimbModel:
+    """The model at rest, of any tissue: every bone a rigid body of its own, fixed; the proximal cut held; no
+    load."""
     from limbcli.materials.ogden import ogden_type
 
     present = [name for name in bones if len(mesh.node_sets.get(name, ()))]
@@ -365,7 +383,7 @@ def limb_model(
     drives = tuple(
         Drive(each.name, dof, "fixed") for each in bodies for dof in ("x", "y", "z", "u", "v", "w")
     )  # type: ignore[arg-type]
-    law = ogden_type(c=stiffness.c, f_kappa=stiffness.f_kappa, m=stiffness.m)
+    law = ogden_type(c=0.008, f_kappa=F_KAPPA, m=M)
     held = (Support(HELD, ("x", "y", "z")),) if len(mesh.node_sets[HELD]) else ()
     return LimbModel(
         mesh=mesh,

@@ -16,12 +16,13 @@ from limbcli.stiffness_field.field import (
     StiffnessField,
     stiffness_field,
 )
+from limbcli.stiffness_field.forces import ForceReading
 from limbcli.stiffness_field.held_out import contradictions, held_out
 from limbcli.stiffness_field.likelihood import Interval
-from limbcli.stiffness_field.readings import MapReading, SiteReading, map_reading, region_below
+from limbcli.stiffness_field.readings import PARAMETERS, MapReading, SiteReading, map_reading, region_below
 
 __all__ = [
-    "LABELS", "PRIORS", "Draws", "FieldPrior", "HypothesisGrid", "Interval", "LimbCoordinates", "MapReading",
-    "PointValues", "SiteReading", "StiffnessField", "contradictions", "held_out", "limb_coordinates",
-    "map_reading", "region_below", "stiffness_field", "write_draws",
+    "LABELS", "PARAMETERS", "PRIORS", "Draws", "FieldPrior", "ForceReading", "HypothesisGrid", "Interval",
+    "LimbCoordinates", "MapReading", "PointValues", "SiteReading", "StiffnessField", "contradictions",
+    "held_out", "limb_coordinates", "map_reading", "region_below", "stiffness_field", "write_draws",
 ]  # fmt: skip

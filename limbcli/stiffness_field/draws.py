@@ -29,7 +29,7 @@ from limbcli.files.plain_text import write_rows
 from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.stiffness_field.coordinates import AnatomicalPlaces
-from limbcli.stiffness_field.field import Conditioned, Hypothesis, StiffnessField, conditioned
+from limbcli.stiffness_field.field import Conditioned, StiffnessField
 from limbcli.stiffness_field.kernel import Features
 from limbcli.stiffness_field.readings import PARAMETERS
 
@@ -154,9 +154,8 @@ def write_draws(path: Path, rows: Sequence[dict[str, float]]) -> None:
 @lru_cache(maxsize=64)
 def _drawn(draws: Draws, k: int) -> Draw:
     field, rng = draws.field, np.random.default_rng([draws.seed, k])
-    hypotheses = tuple(_one_of(field, name, rng) for name in PARAMETERS)
-    readings = field.readings
-    part = conditioned(readings, hypotheses, field.priors, field.together)
+    readings, part = field.readings, field.parts[_one_of(field.shares, rng)]
+    hypotheses = part.hypotheses
     features = tuple(Features.drawn(_FREQUENCIES, each.lengths, rng) for each in hypotheses)
     sizes = np.array([[each.variation] for each in hypotheses])
     weights = sizes * rng.standard_normal((len(PARAMETERS), 2 * _FREQUENCIES))
@@ -170,6 +169,7 @@ def _drawn(draws: Draws, k: int) -> Draw:
         seen = level[which] + np.einsum("nq,nq->n", readings.average, prior.T[which])
         errors = _normal(part.noise, rng)
         own = np.array([each.own_error for each in hypotheses])[which]
+        errors += _normal(part.model_error, rng)
         errors += _normal(own[:, None] * readings.own * own, rng)
         update = cho_solve(part.factor, part.values - seen - errors)
         for j, p in enumerate(priors):
@@ -178,11 +178,9 @@ def _drawn(draws: Draws, k: int) -> Draw:
     return Draw(k, field, part, features, level, weights, np.asarray(update, float))
 
 
-def _one_of(field: StiffnessField, parameter: str, rng: np.random.Generator) -> Hypothesis:
-    """One of a parameter's hypotheses, by their probabilities."""
-    found = field.hypotheses(parameter)
-    shares = np.cumsum([share for _, share in found])
-    return found[int(np.searchsorted(shares, rng.random() * (1 - 1e-12)))][0]
+def _one_of(shares: Array, rng: np.random.Generator) -> int:
+    """Number of one of the parts, by their probabilities."""
+    return int(np.searchsorted(np.cumsum(shares), rng.random() * (1 - 1e-12)))
 
 
 def _values(features: Sequence[Features], weights: Array, places: AnatomicalPlaces) -> Array:

@@ -10,6 +10,8 @@ region, plus the error that its interval states, plus one of its own, N(0, tau^2
 one place differ by. Far from every site the field is thus the person's mean as the sites show it, and without
 sites the population's.
 
+The force of a site reads all three parameters together (`forces`), so that they are conditioned together.
+
 The correlation lengths, sigma and tau are not known from a few sites. They are not fitted: every combination
 of a grid is kept, weighted by its marginal likelihood, and all results are averages over the grid. Each
 parameter has its own, weighted by its own readings: c may vary a lot within a limb whose m does not.
@@ -33,8 +35,9 @@ from scipy.special import ndtr, ndtri
 from limbcli.model import Array
 from limbcli.stiffness_field.coordinates import AnatomicalPlaces, LimbCoordinates
 from limbcli.stiffness_field.expectation import normal_readings
+from limbcli.stiffness_field.field_readings import FieldReadings, gathered, linear_about
 from limbcli.stiffness_field.kernel import Between, Lengths
-from limbcli.stiffness_field.likelihood import Bound, Interval, Known, likelihood_of
+from limbcli.stiffness_field.likelihood import Interval
 from limbcli.stiffness_field.readings import PARAMETERS, MapReading, SiteReading, check_readings
 
 LABELS = ("identified", "interpolated", "assumed")
@@ -45,7 +48,8 @@ NEAR_MM, IDENTIFIED, ASSUMED = 10.0, 0.5, 0.9
 _LEAST_WEIGHT = 1e-3  # combinations of less weight, as a fraction of the largest, are left out
 _CHUNK = 4000  # points at a time
 _STEPS, _STILL, _WIDEST = 12, 1e-3, 8.0  # quantiles of mixtures
-_UNKNOWN_GAIN = 3.0  # standard deviation of ln c of a map's common error where nothing is known of it
+_SEED = 7  # of the orders in which hypotheses are combined
+_ROUNDS, _STEP, _SETTLED = 40, 0.5, 1e-3  # of linear forces: rounds, largest and last change of ln
 
 
 @dataclass(frozen=True)
@@ -137,47 +141,12 @@ class PointValues:
 
 
 @dataclass(frozen=True, eq=False)
-class FieldReadings:
-    """All readings as linear functionals of the fields.
-
-    places : (q,) all points of all regions; average : (n, q) weights, rows sum to 1
-    parameter : (n,) index into `PARAMETERS`; values : (n,) ln, NaN where `likelihoods` has one
-    noise : (n, n) covariance of the errors of the normal readings; own : (n, n) 1 where two have the same
-        site's own error
-    correlated : (i, j, rho) of two readings of a site
-    """
-
-    places: AnatomicalPlaces
-    average: Array
-    parameter: NDArray[np.int_]
-    values: Array
-    noise: Array
-    own: Array
-    likelihoods: Mapping[int, Known | Bound]
-    correlated: Sequence[tuple[int, int, float]]
-
-    def __len__(self) -> int:
-        return len(self.values)
-
-    def part(self, which: NDArray[np.int_]) -> FieldReadings:
-        """The readings of these numbers, ascending, without their correlations with others."""
-        number = {k: n for n, k in enumerate(which.tolist())}
-        return replace(
-            self, average=self.average[which], parameter=self.parameter[which], values=self.values[which],
-            noise=self.noise[np.ix_(which, which)], own=self.own[np.ix_(which, which)],
-            likelihoods={number[k]: each for k, each in self.likelihoods.items() if k in number},
-            correlated=[
-                (number[i], number[j], rho) for i, j, rho in self.correlated if i in number and j in number
-            ],
-        )  # fmt: skip
-
-
-@dataclass(frozen=True, eq=False)
 class Conditioned:
     """The field under one hypothesis for each parameter: readings (n,) and their noise with all likelihoods
     made normal.
 
     hypotheses : in the order of `PARAMETERS`
+    model_error : as of `FieldReadings`
     weights : (n,) the inverse covariance times the readings' distance from the prior mean
     """
 
@@ -185,16 +154,27 @@ class Conditioned:
     log_evidence: float
     values: Array
     noise: Array
+    model_error: Array
     factor: tuple[NDArray[np.floating[Any]], bool]
     weights: Array
+
+    def told(self, cross: Array) -> Array:
+        """Variance (n,) that the readings take from quantities of covariances `cross` (n, n_readings) with
+        them, less what the errors of the forces' models give back."""
+        root = solve_triangular(self.factor[0], cross.T, lower=True)
+        taken = (root**2).sum(axis=0)
+        if self.model_error.any():
+            weights = solve_triangular(self.factor[0], root, lower=True, trans="T")
+            taken = taken - (weights * (self.model_error @ weights)).sum(axis=0)
+        return np.asarray(taken)
 
 
 @dataclass(frozen=True, eq=False)
 class StiffnessField:
     """c, m and f_kappa in a whole limb, conditioned on the readings of its sites.
 
-    parts, shares : by parameter, the field under each of its hypotheses (with the most probable ones of the
-        other parameters), and their posterior probabilities
+    parts, shares : the field under combinations of the parameters' hypotheses, and their posterior
+        probabilities (n_parts,)
     together : (n, n) correlations of the readings' regional means, by lengths
     known : (k, 3) mm, points that readings of c average over
     """
@@ -202,8 +182,8 @@ class StiffnessField:
     limb: LimbCoordinates
     priors: Mapping[str, FieldPrior]
     readings: FieldReadings
-    parts: Mapping[str, Sequence[Conditioned]]
-    shares: Mapping[str, Array]
+    parts: Sequence[Conditioned]
+    shares: Array
     together: Mapping[Lengths, Array]
     known: Array
     sites: Sequence[SiteReading]
@@ -222,7 +202,7 @@ class StiffnessField:
 
     def values_of(self, parameter: str, points: Array) -> Values:
         """One of "c" (MPa), "m" and "f_kappa" at points (n, 3)."""
-        places, shares = self.limb.places(points), self.shares[parameter]
+        places, shares = self.limb.places(points), self.shares
         out = np.empty((4, len(places)))
         for start in range(0, len(places), _CHUNK):
             chunk = slice(start, start + _CHUNK)
@@ -236,7 +216,7 @@ class StiffnessField:
 
     def _moments(self, parameter: str, places: AnatomicalPlaces) -> tuple[Array, Array, Array]:
         """Mean and variance of ln (n_parts, n) at places under each hypothesis; variance far away."""
-        which, parts, prior = PARAMETERS.index(parameter), self.parts[parameter], self.priors[parameter]
+        which, parts, prior = PARAMETERS.index(parameter), self.parts, self.priors[parameter]
         shape = (len(parts), len(places))
         mean, variance, far = np.full(shape, prior.mean), np.empty(shape), np.empty(shape)
         between = self.to_readings(which, places, {part.hypotheses[which].lengths for part in parts})
@@ -250,10 +230,8 @@ class StiffnessField:
             cross = (hypothesis.variation**2) * between[hypothesis.lengths]
             cross += prior.deviation**2 * same
             mean[k] += cross @ part.weights
-            root = part.factor[0]
-            variance[k] -= (solve_triangular(root, cross.T, lower=True) ** 2).sum(axis=0)
-            away = solve_triangular(root, prior.deviation**2 * same, lower=True)
-            far[k] -= away @ away
+            variance[k] -= part.told(cross)
+            far[k] -= part.told(prior.deviation**2 * same[None])
         return mean, np.maximum(variance, 1e-12), np.maximum(far, 1e-12)
 
     def to_readings(
@@ -273,14 +251,15 @@ class StiffnessField:
 
     def hypotheses(self, parameter: str) -> list[tuple[Hypothesis, float]]:
         """The hypotheses of a parameter that are kept, with their probabilities."""
-        which = PARAMETERS.index(parameter)
-        of = [part.hypotheses[which] for part in self.parts[parameter]]
-        return list(zip(of, self.shares[parameter].tolist(), strict=True))
+        which, found = PARAMETERS.index(parameter), dict[Hypothesis, float]()
+        for part, share in zip(self.parts, self.shares.tolist(), strict=True):
+            found[part.hypotheses[which]] = found.get(part.hypotheses[which], 0.0) + share
+        return list(found.items())
 
     def mean_over(self, parameter: str, points: Array) -> tuple[Array, Array]:
         """Mean and variance (n_parts,) of the mean of ln over points (q, 3), under each hypothesis."""
         which, places = PARAMETERS.index(parameter), self.limb.places(points)
-        prior, parts = self.priors[parameter], self.parts[parameter]
+        prior, parts = self.priors[parameter], self.parts
         mean, variance = np.full(len(parts), prior.mean), np.empty(len(parts))
         several = {part.hypotheses[which].lengths for part in parts}
         itself, between = Between(places, places), self.to_readings(which, places, several)
@@ -293,8 +272,7 @@ class StiffnessField:
                 cross = hypothesis.variation**2 * between[hypothesis.lengths].mean(axis=0)
                 cross += prior.deviation**2 * same
                 mean[k] += cross @ part.weights
-                root = solve_triangular(part.factor[0], cross, lower=True)
-                variance[k] -= root @ root
+                variance[k] -= float(part.told(cross[None])[0])
         return mean, np.maximum(variance, 1e-12)
 
 
@@ -316,22 +294,18 @@ def stiffness_field(
         If a reading is not finite and positive, in another unit, or of a site that was given twice.
     """
     check_readings(sites, maps)
-    readings = _gathered(limb, sites, maps)
     hypotheses = (grid or HypothesisGrid()).combinations()
-    together = _averaged_correlations(readings, {each.lengths for each in hypotheses})
-    shares = {name: _shares(readings, name, hypotheses, priors, together) for name in PARAMETERS}
-    best = {name: hypotheses[int(np.argmax(shares[name]))] for name in PARAMETERS}
-    parts = {
-        name: [
-            conditioned(readings, tuple({**best, name: each}.values()), priors, together)
-            for each, share in zip(hypotheses, shares[name], strict=True)
-            if share
-        ]
-        for name in PARAMETERS
-    }
+    lengths = {each.lengths for each in hypotheses}
+    alone = gathered(limb, sites, maps, forces=False)
+    together = _averaged_correlations(alone, lengths)
+    shares = [_shares(alone, name, hypotheses, priors, together) for name in PARAMETERS]
+    readings = gathered(limb, sites, maps, forces=True)
+    together = _averaged_correlations(readings, lengths)
+    joint = _combined(hypotheses, shares)
+    readings, parts = _with_linear_forces(readings, joint, priors, together)
     of_c = [each.points for each in sites if "c" in each.values] + [each.points for each in maps]
     return StiffnessField(
-        limb, priors, readings, parts, {name: each[each > 0] for name, each in shares.items()}, together,
+        limb, priors, readings, parts, np.array([share for _, share in joint]), together,
         np.concatenate(of_c) if of_c else np.empty((0, 3)),
         tuple(sites), tuple(maps),
     )  # fmt: skip
@@ -351,6 +325,30 @@ def _shares(
     shares = np.exp(logs - logs.max())
     shares[shares <= _LEAST_WEIGHT] = 0.0
     return np.asarray(shares / shares.sum())
+
+
+def _combined(
+    hypotheses: Sequence[Hypothesis], shares: Sequence[Array]
+) -> list[tuple[tuple[Hypothesis, ...], float]]:
+    """Combinations of one hypothesis for each parameter, with probabilities that add up to those of each.
+
+    Each parameter divides the range from 0 to 1 among its hypotheses, in an order of its own; a combination
+    is what meets in one place. So there are no more than the sum of all hypotheses.
+    """
+    rng = np.random.default_rng(_SEED)
+    orders = [rng.permutation(np.flatnonzero(each)) for each in shares]
+    ends = [np.cumsum(each[order]) for each, order in zip(shares, orders, strict=True)]
+    cuts = np.unique(np.concatenate([[0.0, 1.0], *(each[:-1] for each in ends)]))
+    widths = np.diff(cuts)
+    middles = cuts[:-1] + 0.5 * widths
+    at = [
+        order[np.minimum(np.searchsorted(end, middles), len(order) - 1)]
+        for order, end in zip(orders, ends, strict=True)
+    ]
+    return [
+        (tuple(hypotheses[int(k)] for k in each), float(width))
+        for *each, width in zip(*at, widths, strict=True) if width > 0
+    ]  # fmt: skip
 
 
 def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
@@ -375,71 +373,32 @@ def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
     return np.asarray(x)
 
 
-def _gathered(
-    limb: LimbCoordinates, sites: Sequence[SiteReading], maps: Sequence[MapReading]
-) -> FieldReadings:
-    regions: list[tuple[int, int]] = []  # first point and number of points of each reading
-    parameter: list[int] = []
-    values: list[float] = []
-    variances: list[float] = []
-    owner: list[str] = []
-    likelihoods: dict[int, Known | Bound] = {}
-    correlated: list[tuple[int, int, float]] = []
-    points: list[Array] = []
-    n_points = 0
-    for site in sites:
-        index: dict[str, int] = {}
-        for name, interval in site.values.items():
-            found = likelihood_of(interval, where=f"{name} of site {site.name}")
-            if found is None:
-                continue
-            k = index[name] = len(values)
-            normal = isinstance(found, Known) and found.is_normal
-            values.append(found.mode if isinstance(found, Known) and normal else np.nan)
-            variances.append(found.variance if isinstance(found, Known) and normal else np.nan)
-            if not normal:
-                likelihoods[k] = found
-            regions.append((n_points, len(site.points)))
-            parameter.append(PARAMETERS.index(name))
-            owner.append(site.name)
-        for (one, other), rho in site.correlation.items():
-            if one in index and other in index and not _is_bound(likelihoods, index[one], index[other]):
-                correlated.append((index[one], index[other], rho))
-        points.append(site.points)
-        n_points += len(site.points)
-    n_of_sites = len(values)
-    for each in maps:
-        for k, value in enumerate(each.log_c):
-            regions.append((n_points + k, 1))
-            values.append(float(value))
-            variances.append(0.0)
-            parameter.append(0)
-            owner.append(each.site)
-        points.append(each.points)
-        n_points += len(each.points)
-    n = len(values)
-    average = np.zeros((n, n_points))
-    for k, (first, count) in enumerate(regions):
-        average[k, first : first + count] = 1.0 / count
-    noise = np.diag(np.array(variances)) if n else np.zeros((0, 0))
-    first = n_of_sites
-    for each in maps:
-        block = slice(first, first + len(each.log_c))
-        gain = _UNKNOWN_GAIN if each.gain_deviation is None else each.gain_deviation
-        noise[block, block] = each.covariance + gain**2
-        first += len(each.log_c)
-    kind = np.array(parameter, dtype=int)
-    names = np.array(owner, dtype=str)
-    own = (names[:, None] == names) & (kind[:, None] == kind) if n else np.zeros((0, 0), bool)
-    all_points = np.concatenate(points) if points else np.empty((0, 3))
-    return FieldReadings(
-        limb.places(all_points), average, kind, np.array(values, float), noise, own.astype(float),
-        likelihoods, correlated,
-    )  # fmt: skip
-
-
-def _is_bound(likelihoods: Mapping[int, Known | Bound], *which: int) -> bool:
-    return any(isinstance(likelihoods.get(k), Bound) for k in which)
+def _with_linear_forces(
+    readings: FieldReadings, joint: Sequence[tuple[tuple[Hypothesis, ...], float]],
+    priors: Mapping[str, FieldPrior], together: Mapping[Lengths, Array],
+) -> tuple[FieldReadings, list[Conditioned]]:  # fmt: skip
+    """The readings with all forces linear about what the field then is at their sites (one Gauss-Newton step
+    after another), and the field under all combinations of hypotheses."""
+    parts = [conditioned(readings, each, priors, together) for each, _ in joint]
+    if not readings.forces:
+        return readings, parts
+    used = [priors[name] for name in PARAMETERS]
+    low, high = (np.log([getattr(each, end) for each in used]) for end in ("low", "high"))
+    mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
+    no_errors = replace(readings, own=np.zeros_like(readings.own))
+    spread = [share * _prior_covariance(no_errors, each, priors, together) for each, share in joint]
+    rows = np.array([range(first, first + len(PARAMETERS)) for first in readings.forces])
+    logs = mean.copy()
+    for _ in range(_ROUNDS):
+        readings = linear_about(readings, logs)
+        parts = [conditioned(readings, each, priors, together) for each, _ in joint]
+        found = mean + sum(k @ part.weights for k, part in zip(spread, parts, strict=True))
+        step = np.clip(found[rows] - logs[rows], -_STEP, _STEP)
+        moved = np.clip(logs[rows] + step, low, high) - logs[rows]
+        logs[rows] += moved
+        if np.abs(moved).max() < _SETTLED:
+            break
+    return readings, parts
 
 
 def _averaged_correlations(readings: FieldReadings, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:
@@ -456,7 +415,8 @@ def conditioned(
     n = len(readings)
     if not n:
         empty = np.empty(0)
-        return Conditioned(hypotheses, 0.0, empty, np.empty((0, 0)), (np.empty((0, 0)), True), empty)
+        none = np.empty((0, 0))
+        return Conditioned(hypotheses, 0.0, empty, none, none, (none, True), empty)
     covariance = _prior_covariance(readings, hypotheses, priors, together)
     mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
     values = readings.values.copy()
@@ -488,7 +448,7 @@ def conditioned(
     if late:
         root = np.linalg.cholesky(covariance + noise)
     weights = cho_solve((root, True), values - mean)
-    return Conditioned(hypotheses, log_evidence, values, noise, (root, True), weights)
+    return Conditioned(hypotheses, log_evidence, values, noise, readings.model_error, (root, True), weights)
 
 
 def _prior_covariance(

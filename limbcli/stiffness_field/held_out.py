@@ -81,9 +81,9 @@ def held_out(field: StiffnessField, grid: HypothesisGrid | None = None) -> HeldO
             skipped[site.name] = "no other site has c"
             continue
         mean, variance = others.mean_over("c", site.points)
-        own = np.array([part.hypotheses[0].own_error ** 2 for part in others.parts["c"]])
+        own = np.array([part.hypotheses[0].own_error ** 2 for part in others.parts])
         # The reading lies above what is predicted by its upper error, below it by its lower one.
-        ends, shares = [], others.shares["c"]
+        ends, shares = [], others.shares
         for q, deviation in ((0.025, known.above), (0.5, 0.0), (0.975, known.below)):
             total = (variance + own + deviation**2)[:, None]
             ends.append(float(quantile(q, mean[:, None], total, shares)[0]))
@@ -103,7 +103,7 @@ def contradictions(field: StiffnessField) -> list[str]:
     """Sentences on pairs of sites at one place whose c differ by more than their intervals allow (p 0.01)."""
     from limbcli.stiffness_field.kernel import correlation
 
-    lengths = field.parts["c"][int(np.argmax(field.shares["c"]))].hypotheses[0].lengths
+    lengths = max(field.hypotheses("c"), key=lambda each: each[1])[0].lengths
     found = []
     known = []
     for site in field.sites:

@@ -17,6 +17,7 @@ from limbcli.measurement.elastography import SweMap
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array
+from limbcli.stiffness_field.forces import ForceReading
 from limbcli.stiffness_field.likelihood import Interval, likelihood_of
 
 PARAMETERS = ("c", "m", "f_kappa")
@@ -36,6 +37,8 @@ class SiteReading:
     values : "c" (MPa), "m", "f_kappa", those that are known, with 95 % intervals
     correlation : of ln of two parameters' errors, by their names in the order of `PARAMETERS`
     source : where the values come from, in words
+    force : what the force says of all parameters together. The intervals of m and f_kappa, which come from it
+        too, then only weight the hypotheses
     """
 
     name: str
@@ -43,6 +46,7 @@ class SiteReading:
     values: Mapping[str, Interval]
     correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
     source: str = ""
+    force: ForceReading | None = None
 
 
 @dataclass(frozen=True, eq=False)

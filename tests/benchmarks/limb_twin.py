@@ -8,32 +8,49 @@ layers) by the site's model, and how far those of others are from it: the limb's
 site's cuts as the site's model is there; the site's model with its cuts free, and without cuts. The last
 column is the limb's with a tissue as much stiffer as `limb` takes it: by half of what free cuts change.
 `--site-size-mm 0` leaves the limb's mesh as coarse at the sites as elsewhere.
+
+    limbcli mesh, build-feb, fit, limb --site-size-mm 2.5 CASE --out OUT
+    python -m tests.benchmarks.limb_twin CASE --out OUT --field
+
+Prints a row for each site with a fit: the measured force at its deepest level, and how far from that of the
+fit are those of the site's model and of the limb, both with the tissue that the limb's stiffness field has.
+The limb has that of each element, the site's model one: the mean of logarithms over what the site averages.
 """
 
 from __future__ import annotations
 
 import argparse
+import csv
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from limbcli.case import Case, Site
 from limbcli.effects.crop import EFFECT as CROP
 from limbcli.effects.crop import LIMB_POSITION
+from limbcli.feb.settings import schedule
 from limbcli.meshing.frame import site_frame
 from limbcli.meshing.limb_parts import limb_frame
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.probe import PlacedProbe, ProbeShape
 from limbcli.meshing.quality import dihedral_angles_deg
 from limbcli.meshing.site_model import MeshOptions, SiteModel, site_model
-from limbcli.meshing.whole_limb import LimbMeshOptions, check_invariants, limb_mesh
-from limbcli.model import LimbModel, Mesh
+from limbcli.meshing.whole_limb import LimbMeshOptions, cell_centroids, check_invariants, limb_mesh
+from limbcli.model import Array, ElementMap, LimbModel, Mesh
+from limbcli.model.npz_file import load_model
 from limbcli.numbers.mesh_bounds import MARGIN_MM
 from limbcli.provenance.staleness import Chain
-from limbcli.site_model.mesh_study import full_depth, reference_force
+from limbcli.results import StageResult
+from limbcli.site_model.indentation_model import TISSUE, indentation_model, starting_depth
+from limbcli.site_model.limb_under_probe import limb_forces
+from limbcli.site_model.mesh_study import StudiedTissue, full_depth, reference_force
 from limbcli.site_model.segmented_limb import named_surfaces, site_position
+from limbcli.site_model.site_layers import layer_laws, layers_in, with_layer_laws
+from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.limb_field.site_results import region_of_site
 from limbcli.stages.mesh import MeshRequest, mesh_options
 from tests.meshing.test_limb_twin import with_probe
 
@@ -49,8 +66,11 @@ def main() -> None:
     parser.add_argument("--site-size-mm", type=float, default=LimbMeshOptions.under_probe)
     parser.add_argument("--margin-mm", type=float, help="of the sites' models; default: the case's")
     parser.add_argument("--depth-mm", type=float, help="default: the site's deepest level")
+    parser.add_argument("--field", action="store_true", help="with the tissue of the limb's stiffness field")
     asked = parser.parse_args()
     case = Case.open(asked.case)
+    if asked.field:
+        return print_fields(case, asked.out)
     segmented = Chain(case, asked.out).result("segment")
     skin, bones = named_surfaces(segmented)
     body = mend(skin, list(bones.values()))
@@ -95,11 +115,77 @@ def others_of(
     """The models that are compared with a site's, in the order of `MODELS` (the last is one of them)."""
     uncut = replace(options, margin=MARGIN_MM[1])
     return [
-        with_probe(mesh, local.frame, bones, shape),
-        with_probe(mesh, local.frame, bones, shape, cuts=local.domain.planes),
+        with_probe(mesh, local.frame.to_model, bones, shape),
+        with_probe(mesh, local.frame.to_model, bones, shape, cuts=local.domain.planes),
         CROP.apply(local.model, CROP.start),
         site_model(body, place, site.long_axis, shape, uncut, name=site.name).model,
     ]
+
+
+def print_fields(case: Case, out: Path) -> None:
+    """The table with the tissue of the limb's field."""
+    chain = Chain(case, out)
+    limb = load_model(chain.result("limb").path("model"))
+    shape = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
+    print("| site | depth | measured | fit | site's model with the field's tissue | limb with its field |")
+    print("|-" * 6 + "|", flush=True)
+    for site in case.sites:
+        fit, mesh = (chain.present(each, site=site.name) for each in ("fit", "mesh"))
+        if fit is None or mesh is None:
+            continue
+        depths, measured, fitted = levels_of_fit(fit)
+        to_model = np.linalg.inv(np.array(mesh.data["frame"]["patient_from_model"], float))
+        tissue = tissue_at(limb, region_of_site(mesh))
+        local = load_model(mesh.path("model"))
+        local = with_layer_laws(local, layer_laws(site, layers_in(local)))
+        of_site = forces_of(local, depths, tissue)
+        of_limb = limb_forces(limb, PlacedProbe(shape, to_model), depths)
+        shares = [
+            f"{100 * (each[-1] / fitted[-1] - 1):+.1f} % (levels {100 * (each / fitted - 1).min():+.1f} to "
+            f"{100 * (each / fitted - 1).max():+.1f})" for each in (of_site, of_limb)
+        ]  # fmt: skip
+        told = f"c {1e3 * tissue.c:.2f} kPa, m {tissue.m:.2f}, f_kappa {tissue.f_kappa:.1f}"
+        print(
+            f"| {case.subject}, {site.name} | {depths[-1]:.1f} mm | {measured[-1]:.3f} N "
+            f"| {fitted[-1]:.3f} N | {shares[0]}; {told} | {shares[1]} |",
+            flush=True,
+        )
+
+
+def levels_of_fit(fit: StageResult) -> tuple[Array, Array, Array]:
+    """Of the levels with a measured force: depth (n,) mm; the measured and the fitted force (n,) N."""
+    with fit.path("curves").open(newline="", encoding="utf-8") as stream:
+        rows = [
+            each for each in csv.DictReader(stream) if each["measured_n"] and float(each["depth_mm"]) > 0.5
+        ]
+    table = {float(each["depth_mm"]): each for each in rows}
+    depths = sorted(table)
+    measured, fitted = (
+        np.array([float(table[each][name]) for each in depths]) for name in ("measured_n", "ogden_n")
+    )
+    return np.array(depths), measured, fitted
+
+
+def tissue_at(limb: LimbModel, region: Array) -> StudiedTissue:
+    """The tissue of a limb's model in a region (n, 3), mm: means of logarithms over the nearest elements."""
+    block = limb.mesh.block(TISSUE)
+    near = cKDTree(cell_centroids(limb.mesh, block)).query(region)[1]
+    law = limb.materials[TISSUE].parameters
+    c1, m1, kappa = (
+        float(np.exp(np.log(each.values[near]).mean())) if isinstance(each, ElementMap) else float(each)
+        for each in (law["c1"], law["m1"], law["kappa"])
+    )
+    return StudiedTissue(2.0 * c1, kappa / (2.0 * c1), m1, "field")
+
+
+def forces_of(model: LimbModel, depths: Array, tissue: StudiedTissue) -> Array:
+    """Forces (n,) N at depths (n,) mm of a site's model."""
+    plan = schedule(depths.tolist(), start=starting_depth(model, float(depths[0])))
+    session = ReferenceSession(indentation_model(model, plan, c=tissue.c, f_kappa=tissue.f_kappa, m=tissue.m))
+    try:
+        return session.solve().must_points.forces
+    finally:
+        session.close()
 
 
 if __name__ == "__main__":

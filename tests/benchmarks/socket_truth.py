@@ -36,7 +36,7 @@ from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.stages.in_socket.patch_table import WHOLE, patch_masks, patch_rows
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.limb_field.case_field import CaseField
-from limbcli.stages.limb_model.element_values import LimbStiffness, field_values, with_element_values
+from limbcli.stages.limb_model.element_values import field_values, with_element_values
 from limbcli.stages.segment import segment
 from limbcli.stiffness_field import Draws, limb_coordinates, stiffness_field
 from limbcli.stiffness_field.draws import write_draws
@@ -73,8 +73,7 @@ class Limb:
         return self.model.mesh.points[self.tissue.cells].mean(axis=1)
 
     def with_c(self, c: Array, m: float) -> LimbModel:
-        law = LimbStiffness(float(c.mean()), F_KAPPA, m, "")
-        return with_element_values(self.model, self.tissue, c, law)
+        return with_element_values(self.model, self.tissue, c, m=m, f_kappa=F_KAPPA)
 
 
 def made(work: Path) -> Limb:

@@ -16,7 +16,7 @@ from limbcli.feb.read import read_feb
 from limbcli.materials.energy import program_energy
 from limbcli.materials.program import compile_material
 from limbcli.model import Block, Domain, ElementMap, LimbModel, Material, Mesh, Surface
-from limbcli.model.abaqus_input import AbaqusOgden, abaqus_ogden, write_abaqus
+from limbcli.model.abaqus_input import AbaqusOgden, _groups, abaqus_ogden, write_abaqus
 
 PUNCH = Path(__file__).parents[1] / "data" / "feb" / "punch.feb"
 OGDEN = Material("ogden", {"c1": 0.004, "m1": 3.0, "c2": 0.006, "m2": -5.0, "kappa": 0.4})
@@ -122,6 +122,15 @@ def test_cells_of_unlike_stiffness_become_groups(tmp_path):
     groups = re.findall(r"\*ELSET, ELSET=TISSUE_G\d\d\n((?:[\d, ]+\n)+)", text)
     members = [int(each) for each in itertools.chain(*(re.findall(r"\d+", group) for group in groups))]
     assert sorted(members) == list(range(1, n + 1))
+
+
+def test_cells_that_differ_in_several_parameters_are_grouped_by_all_of_them():
+    """Stiffness and exponent vary independently: groups by one of them would leave the other as it is."""
+    rng = np.random.default_rng(7)
+    rows = np.exp(0.3 * rng.standard_normal((600, 2)))
+    group = _groups(rows)
+    inner = [np.mean([np.var(np.log(rows[group == k, j])) for k in np.unique(group)]) for j in range(2)]
+    assert max(inner) < 0.3 * 0.3**2
 
 
 def test_what_abaqus_has_no_form_for_is_refused(tmp_path):

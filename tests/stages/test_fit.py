@@ -20,11 +20,12 @@ from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.progress import Progress
-from limbcli.results import StageResult
+from limbcli.results import StageResult, plain
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import ReferenceSolver
 from limbcli.stages.fit import START, FitOptions, fit, initial_stiffness
 from limbcli.stages.fit_joint import fit_joint
+from limbcli.stages.limb_field.site_force import force_reading
 from tests.stages import block_case as block
 
 TRUTH = {"c": 0.008, "f_kappa": 150.0, "m": 3.0}
@@ -54,6 +55,25 @@ def test_parameters_are_recovered_within_one_per_cent(fitted):
     assert data["kappa_kpa"] == pytest.approx(1200.0, rel=0.01)
     assert data["r2"] > 0.999999
     assert data["rmse_n"] < 0.005
+
+
+def test_what_the_force_says_of_the_tissue_is_left_for_the_limb(fitted):
+    """The fitted tissue gives the fitted force, twice the c twice of it; the noise is that of 0.05 N and of
+    0.1 mm times the slope; the first of the model's errors is the mesh's."""
+    data = fitted[0].data
+    told, read = data["tissue_force"], force_reading(plain({**data, "boundary_check": None}))
+    logs = np.log([1e-3 * data["c_kpa"], data["m"], data["f_kappa"]])
+    np.testing.assert_allclose(read.off(logs), 0.0, atol=0.05)
+    at, slopes = read.predict(logs + np.log([2.0, 1.0, 1.0]))
+    np.testing.assert_allclose(np.exp(at), 2.0 * np.array(told["fitted_n"]), rtol=1e-3)
+    np.testing.assert_allclose(slopes[:, 0], 1.0)
+    step = np.array([0.0, 0.02, -0.02])
+    other = read.predict(logs + step)[0] - read.predict(logs)[0]
+    np.testing.assert_allclose(other, read.predict(logs)[1] @ step, rtol=0.1)
+    slope = np.gradient(np.r_[0.0, told["fitted_n"]], np.r_[0.0, told["depths_mm"]])[1:]
+    counted = np.sqrt(data["noise_scale"] ** 2 * (0.05**2 + (0.1 * slope) ** 2))
+    np.testing.assert_allclose(told["noise_n"], counted, rtol=0.15)
+    assert told["model_errors_of_ln"][0][0] == pytest.approx(data["numerical_error_fraction"])
 
 
 def test_both_steps_are_told_with_their_numbers(fitted):
@@ -221,6 +241,7 @@ def test_without_stated_noise_nothing_is_claimed_of_how_sure_the_parameters_are(
     assert data["f_kappa"] == pytest.approx(150.0, rel=0.01)
     assert data["r2"] > 0.999999
     assert data["standard_error"]["f_kappa"] is None
+    assert "tissue_force" not in data
     assert set(data["interval_95"]) == {"c_kpa"}
     assert data["flags"]["f_kappa"] == data["flags"]["m"] == "weak"
     assert "states no noise" in data["words"]["m"]

@@ -162,8 +162,13 @@ def with_field(monkeypatch, c_of: dict[str, float]) -> None:
     def field_of(case, chain, limb, writer, **_):
         places = {"p1": [0.0, -35.0, 60.0], "p2": [0.0, 35.0, 60.0]}
         sites = [
-            SiteReading(name, np.array([places[name]]), {"c": Interval(c, 0.9 * c, 1.1 * c)}, source="fit")
-            for name, c in c_of.items()
+            SiteReading(
+                name,
+                np.array([places[name]]),
+                {"c": Interval(c, 0.9 * c, 1.1 * c), "m": Interval(m, 0.9 * m, 1.1 * m)},
+                source="fit",
+            )
+            for (name, c), m in zip(c_of.items(), (2.0, 6.0), strict=True)
         ]
         field = stiffness_field(limb, sites, [])
         return CaseField(field, LimbReadings(sites))
@@ -189,6 +194,10 @@ def test_elements_have_the_values_of_the_field_and_a_draw_its_own_model(made, me
     model, drawn = read_feb(found.path("feb")), read_feb(found.path("feb_draw_03"))
     own = model.materials["tissue"].parameters["c1"].values
     assert own == pytest.approx(c / 2000.0, rel=1e-6)
+    m = model.materials["tissue"].parameters["m1"].values
+    assert m[near] == pytest.approx([2.0, 6.0], rel=0.25)
+    assert model.materials["tissue"].parameters["m2"].values == pytest.approx(-m, rel=1e-6)
+    assert grid.cell_data["m"][0] == pytest.approx(m, rel=1e-6)
     other = drawn.materials["tissue"].parameters["c1"].values
     assert np.std(np.log(other / own)) > 0.01
     with found.path("draws").open() as stream:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from unittest.mock import Mock
@@ -11,18 +12,16 @@ import numpy as np
 import pytest
 
 from limbcli.case.parts import StatedNoise
-from limbcli.errors import CaseError, FitError
+from limbcli.errors import CaseError, FitError, SolveError
 from limbcli.files.atomic import sha256
 from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.results import StageResult, StageWriter, open_stage, plain, write_sealed
-from limbcli.stages.limb_field.case_field import case_field, cohort_priors
-from limbcli.stages.limb_field.site_results import (
-    force_ratio_on_limb,
-    of_diagnosis,
-    of_fit,
-    site_results,
-)
-from limbcli.stiffness_field import LABELS, limb_coordinates
+from limbcli.stages.limb_field import limb_force
+from limbcli.stages.limb_field.case_field import CaseField, case_field, cohort_priors
+from limbcli.stages.limb_field.limb_force import as_on_limb, cut_warnings
+from limbcli.stages.limb_field.site_force import force_reading
+from limbcli.stages.limb_field.site_results import LimbReadings, of_diagnosis, of_fit, site_results
+from limbcli.stiffness_field import LABELS, limb_coordinates, stiffness_field
 from tests.stiffness_field import synthetic as limb
 
 NOT_KEPT = Mock(spec=StageWriter)
@@ -79,27 +78,62 @@ def read(**there: StageResult):
     return site_results(case_of(), Results(mesh=mesh(), **there), NOT_KEPT)
 
 
-def test_what_a_fit_finds_from_the_force_is_moved_half_way_to_free_cuts():
-    """A factor of 1.44 in m with free cuts is one of 1.2 half-way; c comes from the speed and stays."""
-    free = {"cut_free": {"depths_mm": [4.0], "force_change_fraction": [-0.1], "m": 1.44 * FIT["m"]}}
-    values, _, source = of_fit({**FIT, "boundary_check": free})
-    m = values["m"]
-    assert (m.value, m.low, m.high) == tuple(pytest.approx(1.2 * each) for each in (4.0, 3.0, 5.5))
-    assert values["c"].value == pytest.approx(0.008)
-    assert values["f_kappa"].high is None
-    assert "free cuts" in source
+def told_force() -> dict:
+    """What a fit of 8 kPa says of its force: two depths, simulated with two tissues (f_kappa by m)."""
+    f_kappa, m = np.array([100.0, 50.0]), np.array([2.0, 4.0])
+    slopes = np.array([[[0.1, 0.2], [0.15, 0.3]]] * 2)  # of ln force by ln f_kappa, ln m
+    logs = np.log([f_kappa / 100.0, m / 2.0]).T
+    forces = np.array([1.0, 3.0]) * np.exp(np.einsum("kdp,kp->kd", slopes, logs))
+    return plain(
+        {
+            "depths_mm": [2.0, 4.0], "fitted_n": forces[1], "noise_n": [0.1, 0.2], "c_share": [1.0, 0.9],
+            "model_errors_of_ln": [[0.03, 0.03], [0.02, 0.05]],
+            "simulated": {"f_kappa": f_kappa, "m": m, "forces_n": forces, "slopes_of_ln": slopes},
+        }
+    )  # fmt: skip
 
 
-def test_a_fit_that_is_not_moved_says_how_much_less_force_the_limb_gives():
-    """Free cuts take a fifth at the deepest level: half-way in logarithms the limb has sqrt(0.8)."""
+def test_a_fits_force_is_read_as_one_of_the_limb_half_way_to_free_cuts():
+    """Free cuts take a fifth at the deepest level: half-way in logarithms the limb has sqrt(0.8) of the
+    force, and needs a tissue that gives as much more in the site's model."""
     free = {"cut_free": {"depths_mm": [2.0, 4.0], "force_change_fraction": [-0.1, -0.2]}}
-    assert force_ratio_on_limb({**FIT, "boundary_check": free}) == pytest.approx(0.8**0.5)
-    moved = {"cut_free": {**free["cut_free"], "m": 5.0}}
-    for known in (FIT, {**FIT, "boundary_check": moved}, {**FIT, "boundary_check": {"cut_free": {}}}):
-        assert force_ratio_on_limb(known) is None
-    found = read(fit=result("fit", {**FIT, "boundary_check": free}))
-    assert found.force_ratio == {"p1": pytest.approx(0.8**0.5)}
-    assert not read(diagnose=result("diagnose", DIAGNOSED)).force_ratio
+    told = told_force()
+    found = force_reading({**FIT, "tissue_force": told, "boundary_check": free})
+    np.testing.assert_allclose(found.limb_over_site, [0.9**0.5, 0.8**0.5])
+    stiffer = np.log([0.008 / 0.8 ** (0.5 / 0.9), 4.0, 50.0])  # of c, with its share of 0.9
+    assert found.ratio(stiffer) == pytest.approx(1.0, rel=1e-4)
+    held = force_reading({**FIT, "tissue_force": told})
+    np.testing.assert_allclose(held.limb_over_site, 1.0)
+    assert force_reading(FIT) is None
+
+
+def test_the_deepest_force_is_met_and_its_noise_widens_the_field():
+    told = told_force()
+    found = force_reading({**FIT, "tissue_force": told})
+    np.testing.assert_allclose(found.noise, [0.1, 0.01 * told["fitted_n"][1]])
+    np.testing.assert_allclose(found.model_errors[:2], told["model_errors_of_ln"])
+    np.testing.assert_allclose(found.model_errors[2], [0.0, 0.2 / told["fitted_n"][1]])
+
+
+def test_a_tissues_force_is_that_of_the_fits_simulations():
+    """At a simulated tissue and between two of them; c multiplies the force by its share."""
+    told = told_force()
+    found = force_reading({**FIT, "tissue_force": told})
+    at, slopes = found.predict(np.log([0.008, 4.0, 50.0]))
+    np.testing.assert_allclose(np.exp(at), told["fitted_n"], rtol=1e-6)
+    np.testing.assert_allclose(slopes, [[1.0, 0.2, 0.1], [0.9, 0.3, 0.15]], atol=1e-6)
+    stiffer, _ = found.predict(np.log([0.016, 3.0, 70.0]))
+    expected = np.log(2.0) * np.array([1.0, 0.9]) + np.log([1.0, 3.0])
+    expected += np.log(0.7) * np.array([0.1, 0.15]) + np.log(1.5) * np.array([0.2, 0.3])
+    np.testing.assert_allclose(stiffer, expected, atol=1e-4)
+
+
+def test_a_force_is_read_of_a_fit_but_not_of_a_diagnosis():
+    fit = {**FIT, "tissue_force": told_force()}
+    (site,) = read(fit=result("fit", fit)).sites
+    assert site.force is not None
+    (site,) = read(fit=result("fit", fit), diagnose=result("diagnose", DIAGNOSED)).sites
+    assert site.force is None
 
 
 def test_a_fit_gives_all_parameters_in_mpa_with_intervals_and_correlation():
@@ -137,6 +171,77 @@ def test_a_result_that_lacks_a_value_is_an_error_of_its_site():
     with pytest.raises(FitError, match="lack a value") as caught:
         read(fit=result("fit", broken))
     assert "site p1" in str(caught.value)
+
+
+@pytest.fixture
+def two_sites():
+    """A field through two sites of unlike tissue with forces."""
+    tissues = {"p1": [0.008, 2.0, 60.0], "p2": [0.014, 6.0, 300.0]}
+    sites = [
+        limb.with_force(limb.site(name, limb.region(*where), tissue[0], 0.1), np.array(tissue), noise=0.01)
+        for (name, tissue), where in zip(tissues.items(), [(60, 0), (160, 180)], strict=True)
+    ]
+    return CaseField(stiffness_field(limb.coordinates(), sites), LimbReadings(sites))
+
+
+def answering(monkeypatch, less: float, *, stuck: str = "") -> list[str]:
+    """A limb that gives this share of the force of the sites' models; returns the list of its simulations."""
+    asked: list[str] = []
+
+    def forces_of(found, name, depths, *, progress):
+        asked.append(name)
+        if name == stuck:
+            raise SolveError("no equilibrium", where="limb", fix="none")
+        (site,) = (each for each in found.field.sites if each.name == name)
+        at = np.isin(site.force.depths, depths)
+        return less * np.exp(site.force.predict(found.tissue_of(name))[0][at])
+
+    monkeypatch.setattr(limb_force, "limb_forces", forces_of)
+    return asked
+
+
+def test_the_fields_tissue_makes_up_for_what_the_limb_takes_from_a_sites_force(two_sites, monkeypatch):
+    asked, warnings = answering(monkeypatch, 0.8), []
+    found = as_on_limb(two_sites, lambda each: each, {"p1": "p1", "p2": "p2"}, warnings)
+    for site in found.field.sites:
+        alone = replace(site.force, limb_over_site=np.ones(2)).ratio(found.tissue_of(site.name))
+        assert 0.8 * alone == pytest.approx(1.0, abs=0.01)
+        assert found.force_on_limb[site.name] == pytest.approx(1.0, abs=0.01)
+    assert len(asked) == 4  # once more to be sure
+    assert not warnings
+
+
+def test_a_site_whose_force_cannot_be_simulated_on_the_limb_stays_and_is_told(two_sites, monkeypatch):
+    asked, warnings = answering(monkeypatch, 0.8, stuck="p1"), []
+    found = as_on_limb(two_sites, lambda each: each, {"p1": "p1", "p2": "p2"}, warnings)
+    assert "site p1" in warnings[0]
+    assert len(warnings) == 1
+    assert set(found.force_on_limb) == {"p2"}
+    assert found.field.sites[0].force is two_sites.field.sites[0].force
+    assert asked.count("p1") == 1
+
+
+def test_cuts_that_take_much_of_a_sites_force_are_told_unless_the_limbs_force_is_known(two_sites):
+    assert not cut_warnings(two_sites)
+    first, *others = two_sites.field.sites
+    near = replace(first, force=replace(first.force, limb_over_site=np.array([0.9, 0.6])))
+    found = replace(two_sites, field=replace(two_sites.field, sites=[near, *others]))
+    (words,) = cut_warnings(found)
+    assert "site p1: the force on the limb is taken as 60 %" in words
+    assert not cut_warnings(replace(found, force_on_limb={"p1": 1.0}))
+
+
+def test_a_limb_that_no_tissue_brings_to_a_sites_force_is_told(two_sites, monkeypatch):
+    warnings: list[str] = []
+
+    def half(found, name, depths, *, progress):
+        (site,) = (each for each in found.field.sites if each.name == name)
+        return 0.5 * site.force.fitted[np.isin(site.force.depths, depths)]
+
+    monkeypatch.setattr(limb_force, "limb_forces", half)
+    found = as_on_limb(two_sites, lambda each: each, {"p2": "p2"}, warnings)
+    assert found.force_on_limb == {"p2": pytest.approx(0.5)}
+    assert "site p2: the limb's force under the probe is 50 % of the fit's" in warnings[0]
 
 
 LEVELS = "force_n,depth_mm\n0,0\n2,2\n4,4\n6,5\n"
@@ -180,7 +285,7 @@ def test_a_map_is_left_out_where_the_diagnosis_says_that_speeds_are_misread(meas
 
 
 def test_the_field_of_a_case_in_one_call(measured):
-    there = Results(mesh=mesh(), fit=result("fit", FIT))
+    there = Results(mesh=mesh(), fit=result("fit", {**FIT, "tissue_force": told_force()}))
     found = case_field(
         measured, there, limb_coordinates(limb.SKIN, limb.BONES, limb.AXIS, where="S1"), NOT_KEPT
     )
@@ -191,6 +296,8 @@ def test_the_field_of_a_case_in_one_call(measured):
     assert distance.max() < 10
     words = json.loads(json.dumps(plain(found.to_json())))
     assert words["sites"]["p1"]["c_kpa"][0] == pytest.approx(8.0)
+    assert words["sites"]["p1"]["force_of_field"] == pytest.approx(1.0, abs=0.02)
+    assert words["sites"]["p1"]["limb_over_site"] == 1.0
     for name in ("c", "m", "f_kappa"):
         own = [each["probability"] for each in words["hypotheses"] if each["parameter"] == name]
         assert sum(own) == pytest.approx(1.0)

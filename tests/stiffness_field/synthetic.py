@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from limbcli.meshing.surfaces import Triangles
 from limbcli.stiffness_field.coordinates import LimbCoordinates, limb_coordinates
+from limbcli.stiffness_field.forces import ForceOf, ForceReading
 from limbcli.stiffness_field.likelihood import Interval
 from limbcli.stiffness_field.readings import SiteReading, region_below
 
@@ -67,6 +69,38 @@ def site(name: str, points: np.ndarray, c: float, deviation: float, **others: In
     reach = 1.959964 * deviation
     ends = Interval(c, float(c * np.exp(-reach)), float(c * np.exp(reach)))
     return SiteReading(name, points, {"c": ends, **others})
+
+
+DEPTHS = np.array(
+    [[1.0, 0.6, 0.02], [3.0, 0.8, 0.06]]
+)  # force (N), influence of f_kappa and of m, at two depths
+
+
+def force_of(logs: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """ln force (2,) of a tissue, ln of c (MPa), m, f_kappa, and its slopes (2, 3), as tissue has it: m has
+    little influence near 1, f_kappa little where it is large or small."""
+    force, of_f_kappa, of_m = DEPTHS.T
+    tight, stiffening = 1.0 / (1.0 + np.exp(2.0 - 0.7 * logs[2])), of_m * np.exp(logs[1])
+    value = np.log(force / 0.008) + logs[0] + stiffening + of_f_kappa * tight
+    return value, np.column_stack([np.ones(2), stiffening, 0.7 * of_f_kappa * tight * (1.0 - tight)])
+
+
+def with_force(read: SiteReading, tissue: np.ndarray, *, noise: float, gain: float = 0.0, off: float = 0.0):
+    """The site with the force of a tissue (c in MPa, m, f_kappa), and its noise as a fraction.
+
+    gain : standard deviation of ln of the error of its model; off : that error
+    """
+    return replace(
+        read, force=force_reading(force_of, np.exp(force_of(np.log(tissue))[0] + off), noise=noise, gain=gain)
+    )
+
+
+def force_reading(predict: ForceOf, forces: np.ndarray, *, noise: float, gain: float) -> ForceReading:
+    """Forces at two depths with noise (a fraction) and an error of the model (standard deviation of ln)."""
+    return ForceReading(
+        depths=np.array([2.0, 4.0]), fitted=forces, noise=noise * forces, limb_over_site=np.ones(2),
+        model_errors=np.full((1, 2), gain), predict=predict,
+    )  # fmt: skip
 
 
 def tissue_points(n: int, rng: np.random.Generator) -> np.ndarray:

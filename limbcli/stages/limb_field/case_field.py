@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,8 +20,10 @@ from limbcli.stages.cohort import RESULT, read_cohort
 from limbcli.stages.limb_field.site_results import LimbReadings, site_results
 from limbcli.stiffness_field import (
     LABELS,
+    PARAMETERS,
     PRIORS,
     FieldPrior,
+    ForceReading,
     LimbCoordinates,
     StiffnessField,
     contradictions,
@@ -32,10 +35,14 @@ from limbcli.stiffness_field.likelihood import REACH
 
 @dataclass(frozen=True, eq=False)
 class CaseField:
-    """The field of a case, and the readings that it comes from."""
+    """The field of a case, and the readings that it comes from.
+
+    force_on_limb : by site, the limb's simulated force at the deepest level over that of the fit
+    """
 
     field: StiffnessField
     results: LimbReadings
+    force_on_limb: Mapping[str, float] = dataclasses.field(default_factory=dict)
 
     def element_columns(self, points: Array) -> tuple[Array, Array, Array, Array, Array]:
         """Of points (n, 3), mm, LPS: c, c_low, c_high (MPa), index of the label in `LABELS`, distance (mm,
@@ -45,6 +52,18 @@ class CaseField:
         return found.c, found.c_low, found.c_high, index, np.where(
             np.isfinite(found.distance), found.distance, np.nan
         )  # fmt: skip
+
+    def tissue_of(self, name: str) -> Array:
+        """ln of the field's c (MPa), m, f_kappa (3,) at a site: means over what it averages."""
+        points = next(each.points for each in self.field.sites if each.name == name)
+        return np.array([np.log(self.field.values_of(each, points).value).mean() for each in PARAMETERS])
+
+    def _of_force(self, name: str, force: ForceReading) -> dict[str, Any]:
+        return {
+            "limb_over_site": float(force.limb_over_site[np.argmax(force.depths)]),
+            "force_of_field": force.ratio(self.tissue_of(name)),
+            "force_on_limb": self.force_on_limb.get(name),
+        }
 
     def to_json(self) -> dict[str, Any]:
         """Sites, hypotheses, held-out test and priors, as plain values with units in the keys."""
@@ -58,7 +77,7 @@ class CaseField:
                         ("c_kpa" if name == "c" else name): _in_kpa(name, [v.value, v.low, v.high])
                         for name, v in each.values.items()
                     },
-                    "force_ratio_on_limb": self.results.force_ratio.get(each.name),
+                    **({} if each.force is None else self._of_force(each.name, each.force)),
                 }
                 for each in field.sites
             },
@@ -79,7 +98,7 @@ class CaseField:
                     "variation_of_ln": each.variation, "own_error_of_ln": each.own_error,
                     "probability": share,
                 }
-                for name in field.parts
+                for name in PARAMETERS
                 for each, share in field.hypotheses(name)
             ],
             "held_out": {

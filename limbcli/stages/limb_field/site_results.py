@@ -1,8 +1,7 @@
 """The readings of a case's sites: from the diagnosis where it named an effect, else from the fit; and maps.
 
-f_kappa of a diagnosis is not taken: its interval is hardly narrower than its prior. A site's model is held at
-its cuts, a limb gives way beyond them. A diagnosis is set half-way between held and free cuts; what a fit
-finds is moved half-way to what it would find with free ones.
+f_kappa of a diagnosis is not taken: its interval is hardly narrower than its prior. What the force of a fit
+says of c, m and f_kappa together is a reading of its own (`site_force`).
 """
 
 from __future__ import annotations
@@ -15,20 +14,22 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.effects import EFFECTS
-from limbcli.effects.crop import LIMB_POSITION
 from limbcli.errors import FitError, MeasurementError
 from limbcli.errors.problems import raise_errors
 from limbcli.measurement.elastography import check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise, pixel_noise
+from limbcli.model import Array
 from limbcli.numbers.units import mpa_from_kpa
 from limbcli.provenance.staleness import Chain
 from limbcli.results import UNLIKE_OURS, StageResult, StageWriter
 from limbcli.site_model.site_levels import levels_of, maps_of
+from limbcli.stages.limb_field.site_force import KEYS as OF_FORCE
+from limbcli.stages.limb_field.site_force import force_reading
 from limbcli.stiffness_field import Interval, MapReading, SiteReading, map_reading, region_below
 
 _KEYS = {"c_kpa": "c", "m": "m", "f_kappa": "f_kappa"}
-_OF_FIT = (*_KEYS, "interval_95", "correlation", "boundary_check/cut_free")  # what the readings are made from
+_OF_FIT = (*_KEYS, "interval_95", "correlation", *OF_FORCE)  # what the readings are made from
 _OF_DIAGNOSIS = ("added", "shrink")
 _MISREAD = {each.name for each in EFFECTS if each.kind == "swe"}  # effects by which speeds are misread
 _MOST_CORRELATED = 0.98
@@ -40,14 +41,11 @@ class LimbReadings:
     """All that the results say of the sites.
 
     left_out : by site, why it gave nothing (or not its map)
-    force_ratio : by site whose parameters were taken as its model has them, the force of the whole limb over
-        that of the model at its deepest level (an estimate, see `force_ratio_on_limb`)
     """
 
     sites: list[SiteReading] = field(default_factory=list)
     maps: list[MapReading] = field(default_factory=list)
     left_out: dict[str, str] = field(default_factory=dict)
-    force_ratio: dict[str, float] = field(default_factory=dict)
 
 
 def site_results(case: Case, chain: Chain, writer: StageWriter) -> LimbReadings:
@@ -83,7 +81,6 @@ def site_results(case: Case, chain: Chain, writer: StageWriter) -> LimbReadings:
 
 
 def _add(found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, writer: StageWriter) -> None:
-    frame = mesh.data["frame"]
     fit, diagnosis = (chain.present(stage, site=site.name) for stage in ("fit", "diagnose"))
     for stage, result in (("fit", fit), ("diagnose", diagnosis)):
         if result is None:
@@ -92,16 +89,9 @@ def _add(found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, write
     used = diagnosis if diagnosis is not None and (added or fit is None) else fit
     if used is not None:
         values, correlation, source = of_diagnosis(used.data) if used is diagnosis else of_fit(used.data)
-        region = region_below(
-            np.array(frame["skin_point_mm"], float), np.array(frame["normal"], float),
-            np.array(frame["long_axis"], float), length=site_length(mesh),
-            skin_bone=float(mesh.data["checks"].get("skin_bone_mm") or _DEEP_MM),
-        )  # fmt: skip
-        found.sites.append(SiteReading(site.name, region, values, correlation, source))
+        force = force_reading(used.data) if used is fit else None
+        found.sites.append(SiteReading(site.name, region_of_site(mesh), values, correlation, source, force))
         writer.used_result(used, data=_OF_FIT if used is fit else _OF_DIAGNOSIS)
-        ratio = force_ratio_on_limb(used.data) if used is fit else None
-        if ratio is not None:
-            found.force_ratio[site.name] = ratio
         writer.used_result(mesh, data=["frame", "checks/skin_bone_mm"])
     if site.swe_maps is not None:
         misread = [name for name in added if name in _MISREAD]
@@ -115,6 +105,16 @@ def _add(found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, write
         found.left_out[site.name] = "it is neither fitted nor diagnosed, and has no maps"
 
 
+def region_of_site(mesh: StageResult) -> Array:
+    """Points (n, 3), mm, patient LPS, of the tissue over which a meshed site averages."""
+    frame = mesh.data["frame"]
+    return region_below(
+        np.array(frame["skin_point_mm"], float), np.array(frame["normal"], float),
+        np.array(frame["long_axis"], float), length=site_length(mesh),
+        skin_bone=float(mesh.data["checks"].get("skin_bone_mm") or _DEEP_MM),
+    )  # fmt: skip
+
+
 def site_length(mesh: StageResult) -> float:
     """Length of the probe's face (mm) with which a site was meshed."""
     return float(mesh.provenance["made_from"]["case"]["probe"]["length"])
@@ -126,35 +126,17 @@ Reading = tuple[dict[str, Interval], dict[tuple[str, str], float], str]
 def of_fit(data: Mapping[str, Any]) -> Reading:
     """c, m and f_kappa of fit.json with their intervals; correlations of their errors; source in words."""
     intervals = data["interval_95"]
-    freed = (data.get("boundary_check") or {}).get("cut_free", {})
-    values = {}
-    for key, name in _KEYS.items():
-        low, high = intervals.get(key) or (None, None)
-        ratio = (float(freed[key]) / float(data[key])) ** LIMB_POSITION if key in freed else 1.0
-        moved = (None if each is None else ratio * float(each) for each in (low, high))
-        values[name] = _interval(key, ratio * float(data[key]), *moved)
+    values = {
+        name: _interval(key, float(data[key]), *(intervals.get(key) or (None, None)))
+        for key, name in _KEYS.items()
+    }
     rho = data.get("correlation") or {}
     pairs = {("c", "f_kappa"): "c,f_kappa", ("c", "m"): "c,m", ("m", "f_kappa"): "f_kappa,m"}
-    correlation = {pair: float(rho[key]) for pair, key in pairs.items() if rho.get(key) is not None}
     # A correlation of 1 would make two readings one.
-    return (
-        values,
-        {pair: _MOST_CORRELATED * each for pair, each in correlation.items()},
-        ("fit, half-way to free cuts" if set(freed) & set(_KEYS) else "fit"),
-    )
-
-
-def force_ratio_on_limb(data: Mapping[str, Any]) -> float | None:
-    """Force of the whole limb over that of a fitted site's model at its deepest level, with the same tissue.
-
-    Half-way (in logarithms) to free cuts, as for `of_fit`; on whole limbs it is right within 2 %. None where
-    the parameters allow for it, or free cuts were not simulated.
-    """
-    freed = (data.get("boundary_check") or {}).get("cut_free", {})
-    changes = freed.get("force_change_fraction")
-    if not changes or set(freed) & set(_KEYS):
-        return None
-    return float((1.0 + float(changes[-1])) ** LIMB_POSITION)
+    correlation = {
+        pair: _MOST_CORRELATED * float(rho[key]) for pair, key in pairs.items() if rho.get(key) is not None
+    }
+    return values, correlation, "fit"
 
 
 def of_diagnosis(data: Mapping[str, Any]) -> Reading:

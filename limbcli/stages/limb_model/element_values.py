@@ -28,7 +28,8 @@ F_KAPPA, M = 100.0, 2.0  # of the law where no site was fitted
 
 @dataclass(frozen=True)
 class LimbStiffness:
-    """c (MPa) of the limb's tissue with its source in words; f_kappa and m of the law; the sites used."""
+    """c (MPa), f_kappa and m of the limb's tissue (means, where its elements differ), their source in words,
+    and the sites used."""
 
     c: float
     f_kappa: float
@@ -39,7 +40,8 @@ class LimbStiffness:
 
 @dataclass(frozen=True, eq=False)
 class ElementValues:
-    """Of each element (n,): c with its 95 % limits (MPa), index into `LABELS`, distance to a site (mm).
+    """Of each element (n,): c with its 95 % limits (MPa), index into `LABELS`, distance to a site (mm), m and
+    f_kappa.
 
     A distance is NaN where no site gave the value.
     """
@@ -49,6 +51,8 @@ class ElementValues:
     c_high: Array
     label: Array
     distance: Array
+    m: Array
+    f_kappa: Array
 
 
 def limb_stiffness(
@@ -113,28 +117,24 @@ def element_values(centroids: Array, stiffness: LimbStiffness, sites: Array) -> 
         away = np.linalg.norm(centroids[:, None] - sites[None], axis=2).min(axis=1)
     unknown = np.full(n, np.nan)
     return ElementValues(
-        np.full(n, stiffness.c), unknown, unknown, np.full(n, float(LABELS.index(ASSUMED))), away
-    )
+        np.full(n, stiffness.c), unknown, unknown, np.full(n, float(LABELS.index(ASSUMED))), away,
+        np.full(n, stiffness.m), np.full(n, stiffness.f_kappa),
+    )  # fmt: skip
 
 
 def field_values(found: CaseField, centroids: Array, volumes: Array) -> tuple[ElementValues, LimbStiffness]:
-    """Values of the elements with these centroids (n, 3), LPS, mm, by the field, and the law that they share.
+    """Values of the elements with these centroids (n, 3), LPS, mm, by the field, and their (geometric) means.
 
-    volumes (n,) mm3 : weights of the means of c, m and f_kappa (geometric) over the limb
+    volumes (n,) mm3 : weights of the means
     """
-    values = ElementValues(*found.element_columns(centroids))
-    few = sample_of(len(centroids))
-    m, f_kappa = (
-        float(
-            np.exp(
-                np.average(np.log(found.field.values_of(name, centroids[few]).value), weights=volumes[few])
-            )
-        )
-        for name in ("m", "f_kappa")
-    )
-    c = float(np.exp(np.average(np.log(values.c), weights=volumes)))
+    m, f_kappa = (found.field.values_of(name, centroids).value for name in ("m", "f_kappa"))
+    values = ElementValues(*found.element_columns(centroids), m, f_kappa)
     sites = tuple(each.name for each in found.field.sites)
-    return values, LimbStiffness(c, f_kappa, m, f"field through {_listed(sites)}", sites)
+    source = f"field through {_listed(sites)}"
+    c, f_kappa_mean, m_mean = (
+        float(np.exp(np.average(np.log(each), weights=volumes))) for each in (values.c, f_kappa, m)
+    )
+    return values, LimbStiffness(c, f_kappa_mean, m_mean, source, sites)
 
 
 def sample_of(n: int) -> IntArray:
@@ -142,26 +142,26 @@ def sample_of(n: int) -> IntArray:
     return np.arange(0, n, max(1, -(-n // _SAMPLE)))
 
 
-def model_of_draw(model: LimbModel, block: Block, draw: Draw, centroids: Array, volumes: Array) -> LimbModel:
-    """The model with c and kappa element by element as one draw has them, and its mean m."""
+def model_of_draw(model: LimbModel, block: Block, draw: Draw, centroids: Array) -> LimbModel:
+    """The model with the tissue element by element as one draw has it."""
     drawn = draw.at(centroids)
-    m = float(np.exp(np.average(np.log(drawn.m), weights=volumes)))
-    shared = LimbStiffness(float(drawn.c.mean()), float(drawn.f_kappa.mean()), m, f"draw {draw.number}")
-    return with_element_values(model, block, drawn.c, shared, f_kappa=drawn.f_kappa)
+    return with_element_values(model, block, drawn.c, m=drawn.m, f_kappa=drawn.f_kappa)
 
 
 def with_element_values(
-    model: LimbModel, block: Block, c: Array, stiffness: LimbStiffness, *, f_kappa: Array | None = None
+    model: LimbModel, block: Block, c: Array, *, m: Array | float, f_kappa: Array | float
 ) -> LimbModel:
-    """The model whose tissue has c1, c2 and kappa element by element.
+    """The model whose tissue has c1, c2 and kappa element by element, and m1 and m2 if m is.
 
-    c (n_cells,) MPa; f_kappa (n_cells,) : None: that of `stiffness`, as is m
+    c (n_cells,) MPa; m and f_kappa (n_cells,), or one for all
     """
-    law = ogden_type(c=stiffness.c, f_kappa=stiffness.f_kappa, m=stiffness.m)
-    by_name = {"c1": 0.5 * c, "c2": 0.5 * c, "kappa": (stiffness.f_kappa if f_kappa is None else f_kappa) * c}
+    one = float(np.mean(m))
+    law = ogden_type(c=float(c.mean()), f_kappa=float(np.mean(f_kappa)), m=one)
+    by_name = {"c1": 0.5 * c, "c2": 0.5 * c, "kappa": f_kappa * c}
+    if np.ptp(m) > 0:
+        by_name |= {"m1": np.asarray(m), "m2": -np.asarray(m)}
     maps = {name: ElementMap(f"{block.name}_{name}", block.name, each) for name, each in by_name.items()}
-    materials = {**model.materials, block.name: law.with_parameters(**maps)}
-    return replace(model, materials=materials)
+    return replace(model, materials={**model.materials, block.name: law.with_parameters(**maps)})
 
 
 def columns_of(values: ElementValues) -> dict[str, Array]:
@@ -169,4 +169,5 @@ def columns_of(values: ElementValues) -> dict[str, Array]:
     return {
         "c_kpa": kpa_from_mpa(values.c), "c_low_kpa": kpa_from_mpa(values.c_low),
         "c_high_kpa": kpa_from_mpa(values.c_high), "label": values.label, "distance_mm": values.distance,
+        "m": values.m, "f_kappa": values.f_kappa,
     }  # fmt: skip

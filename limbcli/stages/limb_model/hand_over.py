@@ -105,10 +105,6 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
         f"site {name}: c = {each['c_kpa'][0]:.4g} kPa, from {each['source']}"
         for name, each in of_sites.items() if "c_kpa" in each
     ]  # fmt: skip
-    softer = [
-        f"{name} {100 * (each['force_ratio_on_limb'] - 1):+.1f} %"
-        for name, each in of_sites.items() if each.get("force_ratio_on_limb")
-    ]  # fmt: skip
     return (
         plain_text_templates(templates_folder() / "limb")
         .get_template("README.txt.j2")
@@ -131,7 +127,6 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
             labels=", ".join(f"{k} {name}" for k, name in enumerate(LABELS)),
             layers=layers,
             sites=sites,
-            softer=softer,
             source=segmented.data.get("source", "segment"),
             warnings=list(dict.fromkeys(writer.warnings)),
         )

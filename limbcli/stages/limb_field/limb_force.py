@@ -1,0 +1,105 @@
+"""The forces of the sites as the limb's own model gives them: a probe is set on it at every site.
+
+Half-way to free cuts is an estimate of what a limb takes from the force of a site's model. Where the limb's
+mesh is made for the probe, its own force is simulated instead, with the field's tissue, and the field is
+conditioned anew on what is missing of the force that was read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+
+from limbcli.errors import SolveError
+from limbcli.meshing.probe import PlacedProbe
+from limbcli.model import Array, LimbModel
+from limbcli.progress import SILENT, Progress
+from limbcli.site_model.limb_under_probe import limb_forces
+from limbcli.stages.limb_field.case_field import CaseField
+from limbcli.stiffness_field import ForceReading, stiffness_field
+
+_MOST_DEPTHS = 3
+_ROUNDS, _SAME = 3, 0.01  # simulations of every site; how far off its force may be
+_CUT_TOO_NEAR = 0.85  # limb's force over that of a site's model below which half-way to free cuts is a guess
+_TOLD = 0.02  # how far off it may be without a warning
+
+
+def as_on_limb(
+    found: CaseField, model_of: Callable[[CaseField], LimbModel], probes: Mapping[str, PlacedProbe],
+    warnings: list[str], *, progress: Progress = SILENT,
+) -> CaseField:  # fmt: skip
+    """The field with whose tissue the limb's model gives the forces that the fits found.
+
+    model_of : the limb with a field's tissue; probes : by the site's name
+    warnings : gets a sentence for a site whose force cannot be simulated; it stays as it was
+    """
+    forces = {each.name: each.force for each in found.field.sites if each.force and each.name in probes}
+    for number in range(_ROUNDS if forces else 0):
+        model, on_limb = model_of(found), dict[str, float]()
+        for name, force in list(forces.items()):
+            progress.event("note", text=f"the limb under a probe at site {name}")
+            try:
+                forces[name], on_limb[name] = _simulated(
+                    force, found.tissue_of(name), model, probes[name], progress=progress
+                )
+            except SolveError as error:
+                del forces[name]
+                warnings.append(
+                    f"site {name}: the limb's force under the probe was not simulated ({error.what}); it is "
+                    "estimated half-way to that of the site's model with free cuts"
+                )
+        found = replace(found, force_on_limb=on_limb)
+        if number == _ROUNDS - 1 or all(abs(each - 1.0) < _SAME for each in on_limb.values()):
+            break
+        field = found.field
+        sites = [replace(each, force=forces.get(each.name, each.force)) for each in field.sites]
+        again = stiffness_field(field.limb, sites, field.maps, priors=field.priors)
+        found = replace(found, field=again)
+    warnings += [_off(*each) for each in found.force_on_limb.items() if abs(each[1] - 1.0) > _TOLD]
+    return found
+
+
+def cut_warnings(found: CaseField) -> list[str]:
+    """Sentences on sites whose cuts take so much of their force that the limb's is a guess."""
+    return [
+        f"site {site.name}: the force on the limb is taken as {100 * least:.0f} % of that in the site's "
+        "model, half-way to free cuts: its cuts are too near the probe. Mesh it with a larger --margin-mm "
+        "and fit again, or give --site-size-mm, which simulates the limb's force"
+        for site in found.field.sites
+        if site.force is not None and site.name not in found.force_on_limb
+        and (least := float(site.force.limb_over_site.min())) < _CUT_TOO_NEAR
+    ]  # fmt: skip
+
+
+def _off(name: str, ratio: float) -> str:
+    return (
+        f"site {name}: the limb's force under the probe is {100 * ratio:.0f} % of the fit's: the site's "
+        "model is too unlike the limb's (its mesh, or cuts too near the probe). Mesh it with a larger "
+        "--margin-mm or as tet10, and fit again"
+    )
+
+
+def _simulated(
+    force: ForceReading, tissue: Array, limb: LimbModel, probe: PlacedProbe, *, progress: Progress
+) -> tuple[ForceReading, float]:
+    """The reading with the limb's simulated force over that of the site's model, and its ratio to the force
+    read at the deepest level.
+
+    tissue : ln of c, m, f_kappa (3,) of the limb at the site
+    """
+    depths = _some(force.depths)
+    on_limb = limb_forces(limb, probe, depths, progress=progress)
+    order = np.argsort(force.depths, kind="stable")
+    of_site = np.interp(depths, force.depths[order], force.predict(tissue)[0][order])
+    ratio = np.exp(np.interp(force.depths, depths, np.log(on_limb) - of_site))
+    deepest = int(np.argmax(force.depths))
+    return replace(force, limb_over_site=ratio), float(on_limb[-1] / force.fitted[deepest])
+
+
+def _some(depths: Array) -> Array:
+    """A few of the depths, increasing, the deepest among them."""
+    unlike = np.unique(depths)
+    n = min(_MOST_DEPTHS, len(unlike))
+    return np.asarray(unlike[np.linspace(len(unlike) - 1, 0, n + 1).round().astype(int)[:n]][::-1])
