@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
+from limbcli.diagnosis.explanations.conclusions import Diagnosis
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, contact_penalty, own_layers
 from limbcli.diagnosis.prepare import Prepared

@@ -11,16 +11,15 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnosis.data.joint_measurements import slices
 from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY
-from limbcli.diagnosis.data.site_data import SiteData
+from limbcli.diagnosis.data.site_data import SiteData, slices
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.conclusions.estimates import PRIOR, TISSUE
-from limbcli.diagnosis.explanations.conclusions.sentences import recommended
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
-from limbcli.diagnosis.explanations.model.noise_covariance import CommonError
+from limbcli.diagnosis.explanations.conclusions import Diagnosis, Shrink
+from limbcli.diagnosis.explanations.estimates import PRIOR, TISSUE
+from limbcli.diagnosis.explanations.noise import CommonError
 from limbcli.diagnosis.explanations.predictive_check import Check
-from limbcli.diagnosis.explanations.probabilities import Explained
+from limbcli.diagnosis.explanations.search import Explained
+from limbcli.diagnosis.explanations.sentences import recommended
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.mesh_error.numerical_checks import f_kappa_at

@@ -23,8 +23,8 @@ import numpy as np
 
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Fitted
+from limbcli.diagnosis.explanations.forward_model import Fitted
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading

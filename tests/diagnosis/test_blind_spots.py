@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot, blind_spot
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import Added, LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
+from limbcli.diagnosis.explanations.conclusions import BlindSpot, blind_spot
+from limbcli.diagnosis.explanations.forward_model import Direction, Fitted, Prior, Priors
+from limbcli.diagnosis.explanations.laplace import posterior
+from limbcli.diagnosis.explanations.linear_evidence import Added, LinearEvidence
+from limbcli.diagnosis.explanations.noise import Noise, independent
 from limbcli.numbers.whitening import Whitener
 
 LN_FACTOR = 2.0

@@ -7,9 +7,9 @@ import pytest
 
 from limbcli.diagnosis import written_result
 from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import (
+from limbcli.diagnosis.explanations.noise import (
     CommonError,
+    LinearFit,
     Noise,
     common,
     common_errors,

@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M, estimates, sizes_95
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
+from limbcli.diagnosis.explanations.estimates import LN_M_DEVIATION, USUAL_M, estimates, sizes_95
+from limbcli.diagnosis.explanations.forward_model import Direction, Fitted, Prior, Priors
+from limbcli.diagnosis.explanations.laplace import Posterior, posterior
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
+from limbcli.diagnosis.explanations.noise import Noise, independent
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.written_result import reported_sizes
 from limbcli.effects import EFFECTS

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common, independent
+from limbcli.diagnosis.explanations.forward_model import Direction, Fitted, Prior, Priors
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
+from limbcli.diagnosis.explanations.noise import Noise, common, independent
 from limbcli.numbers.whitening import Whitener
 
 N = 14

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from limbcli.diagnosis.explanations.conclusions.next_measurement import ranked
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Proposal
-from limbcli.diagnosis.explanations.probabilities import Explained
+from limbcli.diagnosis.explanations.conclusions import ranked
+from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Proposal
+from limbcli.diagnosis.explanations.laplace import Posterior
+from limbcli.diagnosis.explanations.search import Explained
 
 
 def member(name: str, probability: float, deviation: float = 0.0, step: float = 0.0) -> Explained:

@@ -9,9 +9,8 @@ import pytest
 from scipy.stats import binom, chi2
 
 from limbcli.diagnosis.explanations import decisions, predictive_check
-from limbcli.diagnosis.explanations.model.forward_model import Data
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent, unit_errors
+from limbcli.diagnosis.explanations.forward_model import Data
+from limbcli.diagnosis.explanations.noise import LinearFit, Noise, independent, unit_errors
 from limbcli.diagnosis.explanations.predictive_check import Check, checked
 from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from limbcli.diagnosis.explanations.model.forward_model import (
+from limbcli.diagnosis.explanations.forward_model import (
     Data,
     Direction,
     Explanation,
@@ -24,7 +24,7 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Proposal,
     Scalable,
 )
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common, independent
+from limbcli.diagnosis.explanations.noise import Noise, common, independent
 from limbcli.errors import SolveError
 
 N_FORCE, N_SPEED = 13, 11

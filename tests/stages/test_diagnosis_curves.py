@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.curves import site_models
+from limbcli.diagnosis.curves import site_solver
 from limbcli.diagnosis.curves.curve_plan import Reach, SiteWork, Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.curves.site_solver import SiteSolver
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.forward_model.changes import Changes
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.diagnosis.mesh_error.penetration import Penetration
+from limbcli.diagnosis.mesh_error.mesh_correction import Penetration
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.errors import SolveError
@@ -242,7 +242,7 @@ def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("name", "other"), [("_READING", site_models._READING + 1), ("__version__", "0.0.0")]
+    ("name", "other"), [("_READING", site_solver._READING + 1), ("__version__", "0.0.0")]
 )
 def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
     block, tmp_path, monkeypatch, name, other
@@ -252,7 +252,7 @@ def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
         return len(list(tmp_path.glob("*-levels.npz")))
 
     assert [n_kept(), n_kept()] == [1, 1]
-    monkeypatch.setattr(site_models, name, other)
+    monkeypatch.setattr(site_solver, name, other)
     assert n_kept() == 2
 
 

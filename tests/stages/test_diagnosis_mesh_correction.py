@@ -12,8 +12,13 @@ import pytest
 from limbcli.diagnosis import written_model as written
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.mesh_error.mesh_comparison import corrected, left_error
-from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
+from limbcli.diagnosis.mesh_error.mesh_correction import (
+    MeshCorrection,
+    corrected,
+    left_error,
+    own_curves,
+    own_run,
+)
 from limbcli.diagnosis.mesh_error.numerical_checks import Notes
 from limbcli.effects.curves import Curves
 from limbcli.errors import CaseError

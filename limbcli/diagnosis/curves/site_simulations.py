@@ -9,25 +9,103 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, nearest_m, where_solved
-from limbcli.diagnosis.curves.node_table import NodeTable
-from limbcli.diagnosis.curves.site_models import SiteModels, fingerprint
-from limbcli.diagnosis.curves.site_solver import SiteSolver, SolvedCurves
+from limbcli.diagnosis.curves.site_solver import SiteModels, SiteSolver, Solve, SolvedCurves, fingerprint
 from limbcli.diagnosis.data.layer_rows import BorderLines
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.curves import Curves, continued, filled
-from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
+from limbcli.effects.frozen_deformation import (
+    SolvedDeformation,
+    frozen_force,
+    frozen_speed,
+    strain_concentrations,
+)
 from limbcli.effects.ingredients import Ingredients, is_numerical, laws, names_of, stiffness_fields
+from limbcli.effects.stiffness_places import Stiffness
+from limbcli.effects.tissue import thickness
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.site_model.indentation_model import indentation_model, starting_depth, with_penalty
+from limbcli.solvers.integration_points import IntegrationPoints
+
+_FILE = "displacements.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class NodeTable:
+    """Evaluates displacements of the tissue's nodes.
+
+    nodes : indices of these; borders : layer borders to track
+    """
+
+    nodes: IntArray
+    windows: Windows
+    density_kg_per_m3: float
+    borders: BorderLines | None = None
+
+    @staticmethod
+    def of(
+        model: LimbModel, windows: Windows, density_kg_per_m3: float, borders: BorderLines | None = None
+    ) -> NodeTable:
+        nodes = np.unique(model.mesh.solid_blocks[0].cells)
+        return NodeTable(nodes, windows, density_kg_per_m3, borders)
+
+    def records(self, model: LimbModel) -> tuple[LogRecord, ...]:
+        """Required output of a simulation."""
+        displacements = LogRecord("node", ("ux", "uy", "uz"), _FILE, self.nodes)
+        return (displacements,) if self.borders is None else (displacements, self.borders.record(model))
+
+    def values(self, solve: Solve) -> Array:
+        """Displacements at the levels reached, in the precision of the memo, so that a resumed diagnosis
+        continues with the same numbers."""
+        return solve.result.simulation.nodes[_FILE].values[solve.result.rows].astype(np.float32).astype(float)
+
+    def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
+        """The tissue's deformation at these depths (mm, n), the first of which is 0."""
+        points = IntegrationPoints.of(model.mesh.points, model.mesh.solid_blocks[0])
+        displacement = np.zeros((len(depth), len(model.mesh.points), 3))
+        displacement[1:, self.nodes] = values
+        rest = points.rest.reshape(-1, 3)
+        F = np.array([points.gradients(u) for u in displacement])
+        seen = [
+            self.windows.seen(
+                model, points.places(u).reshape(-1, 3), rest, gradient.reshape(-1, 3, 3), depth=float(d)
+            )
+            for u, gradient, d in zip(displacement, F, depth, strict=True)
+        ]
+        return SolvedDeformation(depth, F, points.rest, points.volume, tuple(seen))
+
+    def curves(
+        self, solve: Solve, kinematics: SolvedDeformation, *, in_window: LimbModel,
+        stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
+    ) -> Curves:  # fmt: skip
+        """Curves down to the level reached.
+
+        in_window : the model used for the wave speeds, without `stiffness`; stiffness : fields that multiply
+        its stiffnesses; without : see `strain_concentrations`
+        """
+        density = self.density_kg_per_m3
+        concentrations = strain_concentrations(
+            in_window, kinematics, without, stiffness, density_kg_per_m3=density
+        )
+        speeds = frozen_speed(
+            in_window, kinematics, stiffness, density_kg_per_m3=density, concentrations=concentrations
+        )
+        lines = None
+        if self.borders is not None:
+            lines = self.borders.log_depths(solve.model, solve.result.simulation, solve.result.rows)
+        return Curves(
+            kinematics.depth, np.concatenate([[0.0], solve.result.must_points.forces]), speeds,
+            self.windows.depths, thickness(solve.model), lines,
+        )  # fmt: skip
+
 
 # Contact penalty as a multiple of the usual one, which was chosen for FEBio at m 2: the stiffer the tissue
 # becomes, the deeper the probe penetrates it. At m 5 and a depth of 14 of 38 mm the usual penalty lowers the

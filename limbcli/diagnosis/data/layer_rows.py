@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.diagnosis.data.rows import LAYER, SiteRows
-from limbcli.diagnosis.explanations.model.noise_covariance import NoisePart, common
+from limbcli.diagnosis.explanations.noise import NoisePart, common
 from limbcli.effects.curves import Curves
 from limbcli.effects.effect import Effect, Theta
 from limbcli.effects.reading import Protocol

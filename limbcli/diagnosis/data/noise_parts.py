@@ -13,16 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.diagnosis.data.layer_rows import layer_noise
-from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, SiteReadings, SiteRows, Stacked, travel_zero, within
-from limbcli.diagnosis.explanations.model.noise_covariance import (
-    NoisePart,
-    common,
-    correlated,
-    independent,
-    of_groups,
-)
+from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, SiteReadings, SiteRows, Stacked, within
+from limbcli.diagnosis.explanations.noise import NoisePart, common, correlated, independent, of_groups
 from limbcli.effects.reading import Protocol
-from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
 
@@ -82,7 +75,9 @@ class KnownErrors:
 
     errors : for all rows of the level table; map_share : factor on the usual model error in maps
     map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
-    thickness : mm, skin to bone; bone_as_shown : see `SiteData`
+    thickness : mm, skin to bone
+    bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
+    misplaces both
     """
 
     errors: Sequence[ModelError] = ()
@@ -171,14 +166,14 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    seen: SiteReadings, protocol: Protocol, stacked: Stacked, slope: Array, keep: IntArray, *,
-    maps: MapNoise | None, model: KnownErrors,
+    seen: SiteReadings, stacked: Stacked, slope: Array, *, maps: MapNoise | None, model: KnownErrors
 ) -> list[NoisePart]:  # fmt: skip
     """All noise parts of a site's data.
 
     slope (n,) : change of each datum with depth; maps : noise of the parts of maps, if there are any
     """
     noise, rows, y, own = seen.noise, stacked.rows, stacked.y, stacked.own
+    protocol, keep = seen.protocol, seen.keep
     source, is_map = noise.source, rows.among("map")
     level = np.minimum(rows.level, len(protocol) - 1)
     exact = (protocol.force == 0.0) & (protocol.depth == 0.0)
@@ -219,7 +214,7 @@ def noise_parts(
     ]  # fmt: skip
     if (travels := rows.among("travel")).any():
         # of the travel reading and the depth at the reference level; a depth of 0 is zero by definition
-        moved = protocol.depth[travel_zero(seen.levels, keep)] != 0.0
+        moved = protocol.depth[seen.travel_from] != 0.0
         zero = np.hypot(TRAVEL_DEVIATION, noise.depth if moved else 0.0)
         parts.append(common("measurement: zero of the travel", zero * travels, source=source))
     return parts
@@ -256,13 +251,6 @@ def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array
                 curve = np.polynomial.Polynomial.fit(place, y[mine], 2 if n_places > 4 else 1)
                 out[mine] = curve.deriv()(place) / smooth.rate
     return out
-
-
-def readings(levels: Levels) -> Protocol:
-    """The levels that have a force and a depth."""
-    known = np.isfinite(levels.force) & np.isfinite(levels.depth)
-    unloading = tuple((~levels.loading[known]).tolist())
-    return Protocol(levels.force[known], levels.depth[known], levels.hold[known], unloading=unloading)
 
 
 def deepest(protocol: Protocol) -> float:

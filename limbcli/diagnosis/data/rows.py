@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -12,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.held_forces import HeldForces
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.diagnosis.explanations.model.forward_model import Mask
-from limbcli.diagnosis.explanations.model.noise_covariance import NoisePart
+from limbcli.diagnosis.explanations.forward_model import Mask
+from limbcli.diagnosis.explanations.noise import NoisePart
 from limbcli.effects.curves import Curves
 from limbcli.effects.reading import Protocol, Reading
 from limbcli.measurement.elastography import SweMap
@@ -125,27 +126,61 @@ class SiteReadings:
     held: HeldForces | None = None
     extras: Sequence[ExtraMeasurement] = ()
 
+    @cached_property
+    def keep(self) -> IntArray:
+        """Indices (n_levels used,) of the levels that have a force and a depth, those of the protocol."""
+        return known_levels(self.levels)
 
-def measured_rows(seen: SiteReadings, keep: IntArray, protocol: Protocol) -> Stacked:
-    """The data of all channels that a measurement has; keep (n_levels used,) : indices of the levels in the
-    protocol."""
-    return Stacked.together([
-        _force_rows(protocol, seen.noise), _speed_rows(seen, keep),
-        _travel_rows(seen.levels, keep), _thickness_rows(seen.levels, keep), _layer_rows(seen.layers, keep),
-        _hold_rows(seen.held),
-        *(Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in seen.extras),
-    ])  # fmt: skip
+    @cached_property
+    def protocol(self) -> Protocol:
+        return readings(self.levels)
+
+    @cached_property
+    def travel_from(self) -> int:
+        """Reference level of the travel, the first that has one: a guide's scale has an arbitrary origin."""
+        known = np.flatnonzero(np.isfinite(self.levels.probe_travel[self.keep]))
+        return int(known[0]) if len(known) else 0
 
 
-def _force_rows(protocol: Protocol, noise: StatedNoise) -> Stacked:
-    """Every level except those at 0 N and 0 mm, which are zero by definition."""
+def known_levels(levels: Levels) -> IntArray:
+    """Indices of the levels that have a force and a depth."""
+    known = np.isfinite(levels.force) & np.isfinite(levels.depth)
+    return np.asarray(np.flatnonzero(known), dtype=np.int64)
+
+
+def readings(levels: Levels) -> Protocol:
+    """The levels that have a force and a depth."""
+    known = known_levels(levels)
+    unloading = tuple((~levels.loading[known]).tolist())
+    return Protocol(levels.force[known], levels.depth[known], levels.hold[known], unloading=unloading)
+
+
+def measured_rows(seen: SiteReadings) -> Stacked:
+    """The data of all channels that a measurement has."""
+    levels, protocol, layers, held = seen.levels, seen.protocol, seen.layers, seen.held
+    # every level except those at 0 N and 0 mm, which are zero by definition
     used = np.flatnonzero((protocol.force != 0.0) | (protocol.depth != 0.0))
-    return Stacked.of("force", used, protocol.force[used], noise.force)
+    found = [Stacked.of("force", used, protocol.force[used], seen.noise.force), _speed_rows(seen)]
+    travel, zero = levels.probe_travel[seen.keep], seen.travel_from  # the latter itself yields no datum
+    used = np.flatnonzero(np.isfinite(travel) & (np.arange(len(travel)) != zero))
+    found.append(Stacked.of("travel", used, travel[used] - travel[zero : zero + 1], TRAVEL_DEVIATION))
+    first = levels.skin_bone[seen.keep[:1]]
+    first = first[np.isfinite(first)]
+    found.append(Stacked.of("skin-bone", np.arange(len(first)), first, THICKNESS_DEVIATION))
+    if layers is not None:
+        table = layers.thickness[seen.keep, : layers.n_counted].T
+        layer, level = np.nonzero(np.isfinite(table) & (seen.keep > 0))
+        found.append(Stacked.of(LAYER, level, table[layer, level], layers.deviation, layer))
+    if held is not None:  # each place within a hold is a series; `HeldForces` has the covariance
+        found.append(Stacked.of("hold", np.arange(len(held)), held.y, 0.0, held.place))
+    found += [Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in seen.extras]
+    return Stacked.together(found)
 
 
-def _speed_rows(seen: SiteReadings, keep: IntArray) -> Stacked:
+def _speed_rows(seen: SiteReadings) -> Stacked:
     """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps."""
     levels, noise, windows, maps, usable = seen.levels, seen.noise, seen.windows, seen.maps, seen.usable
+    keep = seen.keep
     if maps is not None and len(maps) == len(levels):
         tables = np.array([windows.log_means(maps[k]) for k in keep]).reshape(-1, 2, 1 + windows.n_parts)
         means, counts = tables[:, 0, 1:], tables[:, 1, 1:]
@@ -159,45 +194,6 @@ def _speed_rows(seen: SiteReadings, keep: IntArray) -> Stacked:
     stated = SpeedNoise(noise.swe_level_fraction, noise.swe_pixel_fraction)
     own = mean_speed_deviation(counted, stated, with_scatter=False)[keep][used]
     return Stacked.of("swe", used, np.log(speeds[used]), own, 0)
-
-
-def travel_zero(levels: Levels, keep: IntArray) -> int:
-    """Reference level of the travel, the first that has one: a guide's scale has an arbitrary origin."""
-    known = np.flatnonzero(np.isfinite(levels.probe_travel[keep]))
-    return int(known[0]) if len(known) else 0
-
-
-def _travel_rows(levels: Levels, keep: IntArray) -> Stacked:
-    """Travel relative to the level `travel_zero`, which itself yields no datum."""
-    travel, zero = levels.probe_travel[keep], travel_zero(levels, keep)
-    used = np.flatnonzero(np.isfinite(travel) & (np.arange(len(travel)) != zero))
-    return Stacked.of("travel", used, travel[used] - travel[zero : zero + 1], TRAVEL_DEVIATION)
-
-
-def _thickness_rows(levels: Levels, keep: IntArray) -> Stacked:
-    """The skin-bone distance at the first level."""
-    first = levels.skin_bone[keep[:1]]
-    first = first[np.isfinite(first)]
-    return Stacked.of("skin-bone", np.arange(len(first)), first, THICKNESS_DEVIATION)
-
-
-def _layer_rows(layers: LayerReadings | None, keep: IntArray) -> Stacked:
-    """Layer thicknesses under load; keep (n_levels used,) : indices of the levels in the protocol."""
-    if layers is None:
-        return Stacked.of(LAYER, [], [], 0.0)
-    table = layers.thickness[keep, : layers.n_counted].T
-    layer, level = np.nonzero(np.isfinite(table) & (keep > 0))
-    return Stacked.of(LAYER, level, table[layer, level], layers.deviation, layer)
-
-
-def _hold_rows(held: HeldForces | None) -> Stacked:
-    """The force ratios of each hold, numbered within it (the part); each part is a series.
-
-    Their covariance is that of `HeldForces`, as the ratios of one hold are correlated.
-    """
-    if held is None:
-        return Stacked.of("hold", [], [], 0.0)
-    return Stacked.of("hold", np.arange(len(held)), held.y, 0.0, held.place)
 
 
 def within(name: str, mask: Mask, covariance: Array, source: str) -> NoisePart:

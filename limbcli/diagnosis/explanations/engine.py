@@ -16,19 +16,23 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot, blind_spot
-from limbcli.diagnosis.explanations.conclusions.estimates import Estimates, estimates, sizes_95
-from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep, ranked
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink, Word
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence, least_by_chance
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Facts, Fitted, ForwardModel
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import CommonError, common_errors
+from limbcli.diagnosis.explanations.conclusions import (
+    BlindSpot,
+    Diagnosis,
+    NextStep,
+    Shrink,
+    Word,
+    blind_spot,
+    ranked,
+)
+from limbcli.diagnosis.explanations.estimates import Estimates, estimates, sizes_95
+from limbcli.diagnosis.explanations.forward_model import Explanation, Facts, Fitted, ForwardModel
+from limbcli.diagnosis.explanations.laplace import Posterior
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence, least_by_chance
+from limbcli.diagnosis.explanations.noise import CommonError, LinearFit, common_errors
 from limbcli.diagnosis.explanations.predictive_check import Check, checked
-from limbcli.diagnosis.explanations.probabilities import Explained, PriorOdds, containing, credible, named
 from limbcli.diagnosis.explanations.residuals import Roughness, held_out_error, over_shared, roughness
-from limbcli.diagnosis.explanations.search import Search
+from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
 from limbcli.errors import LimbError
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress

@@ -19,9 +19,8 @@ import numpy as np
 from scipy.linalg import orth
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.model.forward_model import Data, Mask
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import unit_errors
+from limbcli.diagnosis.explanations.forward_model import Data, Mask
+from limbcli.diagnosis.explanations.noise import LinearFit, unit_errors
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Priors
+from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Priors
 from limbcli.diagnosis.forward_model.predictions import Predictions, Slot
 from limbcli.diagnosis.forward_model.surrogate import AtPoints
 from limbcli.errors import FitError, SolveError

@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.diagnosis.data.noise_parts import USUAL_THICKNESS, SmoothDepth, maps_model_error
 from limbcli.diagnosis.data.rows import ExtraMeasurement
 from limbcli.diagnosis.data.site_data import SiteData
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Proposal
+from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Proposal
 from limbcli.diagnosis.forward_model.predictions import Predictions
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.effects.curves import Curves

@@ -12,10 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.joint_measurements import joined
-from limbcli.diagnosis.data.site_data import SiteData
-from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Prior
+from limbcli.diagnosis.data.site_data import SiteData, joined
+from limbcli.diagnosis.explanations.estimates import LN_M_DEVIATION, USUAL_M
+from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Prior
 from limbcli.diagnosis.forward_model.changes import only_febio
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.effects.curves import Curves

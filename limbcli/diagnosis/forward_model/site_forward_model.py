@@ -14,8 +14,7 @@ import numpy as np
 
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m
 from limbcli.diagnosis.data.noise_parts import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.model.forward_model import (
+from limbcli.diagnosis.explanations.forward_model import (
     Data,
     Direction,
     Explanation,
@@ -25,6 +24,7 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Proposal,
     Scalable,
 )
+from limbcli.diagnosis.explanations.laplace import posterior
 from limbcli.diagnosis.forward_model.fits import Fits
 from limbcli.diagnosis.forward_model.measurement_menu import menu
 from limbcli.diagnosis.forward_model.predictions import NOTHING, Predictions, Slot, held_points

@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from limbcli.diagnosis.curves.curve_plan import bend, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.site_data import SiteData
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.explanations.forward_model import Explanation
 from limbcli.diagnosis.forward_model.changes import Changes, logs, without_spikes
-from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection
-from limbcli.diagnosis.mesh_error.penetration import Penetration
+from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, Penetration
 from limbcli.effects.curves import Curves, gaps_filled, without_gaps
 from limbcli.effects.effect import Effect, Theta, point_name
 from limbcli.effects.reading import Reading

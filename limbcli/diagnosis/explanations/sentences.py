@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from limbcli.diagnosis.explanations.conclusions.estimates import Estimates
-from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.explanations.conclusions import Diagnosis, NextStep
+from limbcli.diagnosis.explanations.estimates import Estimates
+from limbcli.diagnosis.explanations.forward_model import Explanation
 from limbcli.numbers.significant_digits import short
 
 _WORDS = {

@@ -10,7 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise
+from limbcli.diagnosis.explanations.noise import Noise
 from limbcli.model import Array
 
 Mask = NDArray[np.bool_]

@@ -13,9 +13,9 @@ from functools import cached_property
 import numpy as np
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.evidence.truncated import ln_probability
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Explanation, Fitted, Prior
-from limbcli.diagnosis.explanations.model.noise_covariance import unit_errors
+from limbcli.diagnosis.explanations.forward_model import Direction, Explanation, Fitted, Prior
+from limbcli.diagnosis.explanations.laplace import ln_probability
+from limbcli.diagnosis.explanations.noise import unit_errors
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 

@@ -17,10 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.evidence.truncated import Truncated, quantiles, shortest
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.explanations.forward_model import Explanation
+from limbcli.diagnosis.explanations.laplace import Posterior, Truncated, quantiles, shortest
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
 
 USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %)"
