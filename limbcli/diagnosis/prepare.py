@@ -18,9 +18,7 @@ from limbcli.case.noting import with_values
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, nearest_m, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.held_forces import held_forces
-from limbcli.diagnosis.data.layer_rows import BorderLines
-from limbcli.diagnosis.data.noise_parts import deepest
-from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings, readings
+from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings, deepest, readings
 from limbcli.diagnosis.data.site_data import SiteData, site_data
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.drainage import NAME as POROELASTICITY
@@ -40,13 +38,14 @@ from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model, save_model
 from limbcli.progress import Progress
-from limbcli.results import plain, read_result
+from limbcli.results import data_if_there, plain, read_result
 from limbcli.site_model.element_fibres import with_fibres
-from limbcli.site_model.layer_readings import layer_readings
+from limbcli.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.site_model.mesh_checks import check_within_tissue, measured_skin_bone
 from limbcli.site_model.segmented_limb import read_limb, site_position
 from limbcli.site_model.site_levels import levels_of, maps_of
 from limbcli.site_model.site_states import one_state
+from limbcli.solvers.material_lines import material_lines
 from limbcli.version import __version__
 
 STAGE = "diagnose"
@@ -124,7 +123,7 @@ def prepare(
         if POROELASTICITY in effects and draining is not None:
             try:
                 drains = drained(
-                    draining, data.held, simulations, deepest=simulations.needed, keep=made.work,
+                    draining, data.seen.held, simulations, deepest=simulations.needed, keep=made.work,
                     notes=made.notes, progress=progress,
                 )  # fmt: skip
                 effects = {**effects, POROELASTICITY: drains}
@@ -195,7 +194,7 @@ class _Preparation:
         self.skin_bone = self._skin_bone()
         check_within_tissue(float(np.max(self.levels.depth)), self.skin_bone, site)
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
-        self.borders: BorderLines | None = None  # in the working mesh, once it is made
+        self.layers: LayerReadings | None = None  # in the working mesh, once it is made
         self.notes = Notes()
         if site.states:
             self.notes.warnings.append(one_state(site))
@@ -212,11 +211,11 @@ class _Preparation:
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
         meshed, fibres = with_fibres(self.case, self.site, self._working_mesh())
         self.notes.data["fibres"] = fibres.source
-        self.borders = self._borders_in(meshed)
+        self.layers = self._layers_in(meshed)
         return SiteSimulations(
             meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
-            progress=self.progress, borders=self.borders,
+            progress=self.progress, layers=self.layers,
             reach=Reach(needed=needed, enough_force=self._enough_force()),
         )  # fmt: skip
 
@@ -231,25 +230,22 @@ class _Preparation:
         at_usual = _TIMES_FORCE * largest * USUAL_C / (2.0 * float(modulus[0]))
         return float(2.0 ** np.ceil(np.log2(at_usual)))
 
-    def _borders_in(self, meshed: LimbModel) -> BorderLines | None:
-        """The layers' borders in the working mesh; layers that do not fit are excluded with a warning."""
+    def _layers_in(self, meshed: LimbModel) -> LayerReadings | None:
+        """The layers whose borders lie in the working mesh; others are excluded with a warning."""
         layers = layer_readings(self.levels, self.site)
         if layers is None or not layers.n_counted:
             return None
-        borders = BorderLines(layers)
         try:
-            borders.check(meshed)
+            material_lines(meshed, layers.rest[: layers.n_counted])
         except MeasurementError as error:
             self.notes.warnings.append(f"the layers are not used: {error.what}")
             return None
-        return borders
+        return layers
 
     def _skin_bone(self) -> float | None:
         """Tissue thickness in mm under the probe's centre, from the site's own mesh, else as measured."""
-        try:
-            found = read_result(self.out, "mesh", site=self.site.name).data["checks"]["skin_bone_mm"]
-        except (LimbError, KeyError):
-            found = None
+        checks = data_if_there(self.out, "mesh", site=self.site.name).get("checks", {})
+        found = checks.get("skin_bone_mm")
         return float(found) if found is not None else measured_skin_bone(self.site)
 
     def _working_mesh(self) -> LimbModel:
@@ -309,6 +305,6 @@ class _Preparation:
             levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
         seen = SiteReadings(
             levels, self.site.noise, windows=self.windows, maps=self.maps, held=held, extras=extras,
-            usable=numerics.parts_seen(), layers=None if self.borders is None else self.borders.layers,
+            usable=numerics.parts_seen(), layers=self.layers,
         )  # fmt: skip
         return site_data(self.site.name, seen, numerics.known_errors(correction, interventions))

@@ -58,10 +58,7 @@ def resembled(model: SiteForwardModel, found: Fitted) -> LinearEvidence:
         with contextlib.suppress(LimbError):  # a channel is missing, or only FEBio can simulate it
             several = [each for each in model.directions(found, facts.name) if np.any(each.columns)]
             directions |= {facts.name: several} if several else {}
-    priors = {name: model.size_priors(name) for name in directions}
-    return LinearEvidence.about(
-        found, model.data.y, Whitener.of(model.data.noise.covariance), directions, priors
-    )
+    return LinearEvidence.about(found, model.data.y, Whitener.of(model.data.noise.covariance), directions)
 
 
 def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearEvidence]:

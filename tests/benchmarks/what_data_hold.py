@@ -36,7 +36,7 @@ from scipy.ndimage import median_filter
 from limbcli.case import Case, Site
 from limbcli.diagnosis.data import held_forces
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.noise_parts import SmoothDepth
+from limbcli.diagnosis.data.rows import SmoothDepth
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.data.windows import Windows, pitch_of
 from limbcli.diagnosis.explanations.forward_model import Fitted

@@ -157,7 +157,7 @@ class Case:
     def _turned(self) -> SiteCurves:
         turned = self.curves(self.levels, ALONG)
         for m in (2.0, 5.0, 10.0):
-            turned.solve_node(m)
+            turned.solve_nodes([m])
         return turned
 
     def with_recommended(self, found) -> tuple[str, object] | None:

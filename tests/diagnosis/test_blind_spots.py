@@ -25,11 +25,9 @@ def linear(typical: float, sign: int = 0) -> tuple[Added, Fitted, Noise, Whitene
     fitted = Fitted(
         (), np.zeros(2), np.array([[2.0], [0.0]]), ("c",), {}, priors=Priors.about(np.zeros(1), (prior,))
     )
-    direction = Direction(np.array([[0.6], [0.8]]), ("size",), "at 3")
     prior_of_size = Prior(0.0, 1.5 * typical, 0.0 if sign else -np.inf)
-    found = LinearEvidence.about(
-        fitted, np.zeros(2), whiten, {"x": [direction]}, {"x": {"size": prior_of_size}}
-    )
+    direction = Direction(np.array([[0.6], [0.8]]), {"size": prior_of_size}, "at 3")
+    found = LinearEvidence.about(fitted, np.zeros(2), whiten, {"x": [direction]})
     return found.best("x"), fitted, noise, whiten
 
 

@@ -23,8 +23,7 @@ ODDS = PriorOdds(len(toy.SIGNATURES))
 def linear_of(case: toy.Toy) -> LinearEvidence:
     fitted = case.fit((), {})
     directions = {name: case.directions(fitted, name) for name in toy.SIGNATURES}
-    priors = {name: case.size_priors(name) for name in toy.SIGNATURES}
-    return LinearEvidence.about(fitted, case.y, Whitener.of(case.data.noise.covariance), directions, priors)
+    return LinearEvidence.about(fitted, case.y, Whitener.of(case.data.noise.covariance), directions)
 
 
 def nothing(linear: LinearEvidence) -> float:

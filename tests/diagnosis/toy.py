@@ -105,9 +105,6 @@ class Toy:
             for name in SIGNATURES
         ]
 
-    def size_priors(self, name: str) -> Mapping[str, Prior]:
-        return {name: prior_of(name)}
-
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """The largest posterior within the sizes' limits, at the best point of the effects' grids."""
         if self.failing and self.failing in explanation:
@@ -138,7 +135,9 @@ class Toy:
         return fitted
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
-        return [Direction(column[:, None], (name,), point) for point, column in SIGNATURES[name]]
+        return [
+            Direction(column[:, None], {name: prior_of(name)}, point) for point, column in SIGNATURES[name]
+        ]
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
         """A thermometer that sees `toe` alone, and one that sees nothing."""

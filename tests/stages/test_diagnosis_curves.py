@@ -391,7 +391,8 @@ def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
     site.solve_nodes((2.0, 10.0, 5.0))
     assert sorted(site.nodes) == solved
     assert site.simulations.requested[:3] == [10.0, 5.0, 2.0]
-    assert not site.solve_node(7.0)
+    site.solve_nodes([7.0])
+    assert sorted(site.nodes) == solved
     with pytest.raises(SolveError, match="not at 7"):
         SiteCurves(None, Book(), {}).solve_nodes((7.0,))
 
@@ -413,7 +414,7 @@ class ThicknessBook:
 
 def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike():
     simulations, thickness = ThicknessBook(), effect("thickness")
-    change = Changes(simulations, progress=SILENT).of(thickness, {}).at({"thickness_change": -0.1})
+    change = Changes(simulations, progress=SILENT).of(thickness, {})({"thickness_change": -0.1})
     assert change[:, 1:] == pytest.approx(np.full((3, 61), 0.1))
     site = SiteCurves(None, simulations, {"thickness": thickness})
     site.solve_nodes((4.0, 8.0))
@@ -446,17 +447,17 @@ class TiltBook:
 def test_a_probe_tilted_the_other_way_is_soft_at_first_touch_too(angle):
     tilt = effect("tilt")
     change = Changes(TiltBook(), progress=SILENT).of(tilt, {})
-    found = change.at({**tilt.null, "tilt_about_long_axis_deg": angle})
+    found = change({**tilt.null, "tilt_about_long_axis_deg": angle})
     assert found[1:, 0] == pytest.approx(-0.008 * abs(angle) - 0.003 * angle, abs=0.011)
     assert found[:, 1:] == pytest.approx(0.002 * angle)
-    ends = [change.at({**tilt.null, "tilt_about_long_axis_deg": each})[2, 0] for each in (-0.1, 0.1)]
+    ends = [change({**tilt.null, "tilt_about_long_axis_deg": each})[2, 0] for each in (-0.1, 0.1)]
     assert (ends[1] - ends[0]) / 0.2 == pytest.approx(-0.003), "the slope at null is that of the two sides"
 
 
 def test_a_tilt_without_an_answer_on_its_other_side_goes_by_the_one():
     tilt = effect("tilt")
     change = Changes(TiltBook(fails=-5.0), progress=SILENT).of(tilt, {})
-    found = change.at({**tilt.null, "tilt_about_long_axis_deg": 10.0})
+    found = change({**tilt.null, "tilt_about_long_axis_deg": 10.0})
     assert found[1:, 0] == pytest.approx(-0.11)
 
 

@@ -145,22 +145,6 @@ class SolvedCurves:
         return {name: each for name, each in found.items() if name != "curves" and each is not None}
 
 
-class SolveMemo(SolveFolder):
-    """Memo of a site's simulations for its diagnosis."""
-
-    def curves(self, key: str, *, n_depths: int) -> SolvedCurves | None:
-        """None if there are none, or they have another number of depths."""
-        found = self.read(key, SolvedCurves.of)
-        return found if found is not None and len(found.curves.depth) == n_depths + 1 else None
-
-    def displacements(self, key: str) -> Array | None:
-        """Displacements (n_depths, n_nodes, 3) of the tissue's nodes in mm, stored in single precision."""
-        return self.read(f"{key}-nodes", lambda stored: np.asarray(stored["values"], dtype=float))
-
-    def keep_displacements(self, key: str, values: Array) -> None:
-        self.write(f"{key}-nodes", {"values": values.astype(np.float32)})
-
-
 class SiteSolver:
     """Solver of one site's models.
 
@@ -176,7 +160,7 @@ class SiteSolver:
         keep: Path | None, progress: Progress,
     ):  # fmt: skip
         self.models, self.times, self.reach, self.solving = models, times, reach, solving
-        self.memo, self.progress = SolveMemo(keep), progress
+        self.memo, self.progress = SolveFolder(keep), progress
         self.work = SiteWork(n_cells=len(models.usual.mesh.solid_blocks[0].cells))
         self._session: ReferenceSession | None = None
         self._leads: list[Solved] = []  # initial guesses from an earlier run

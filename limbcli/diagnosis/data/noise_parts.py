@@ -12,12 +12,20 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnosis.data.layer_rows import layer_noise
-from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, SiteReadings, SiteRows, Stacked, within
+from limbcli.diagnosis.data.rows import (
+    LAYER,
+    TRAVEL_DEVIATION,
+    SiteReadings,
+    SiteRows,
+    SmoothDepth,
+    Stacked,
+    within,
+)
 from limbcli.diagnosis.explanations.noise import NoisePart, common, correlated, independent, of_groups
 from limbcli.effects.reading import Protocol
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
+from limbcli.site_model.layer_readings import LayerReadings
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMPRESSIBILITY = "model: f-kappa"
@@ -47,9 +55,12 @@ IN_MEAN = 0.07  # standard deviation of ln mean speed per unit of strain, where 
 _BESIDE_UNSEEN = 0.15
 BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1  # name, and smallest fraction of it
 _TOUCHES, _WHOLE = 1.5, 0.95  # adjacent: distance of centres in sides of a part; complete: fraction of pixels
-FEWEST_SMOOTH = 4  # fewest levels for a smooth depth-force curve
 USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
-_STEEP, _STRAIGHT = 0.01, 10.0  # range of `SmoothDepth.unit`, as a multiple of the largest force
+FIRST_TOUCH = "measurement: layers at first touch"
+# Standard deviation of a layer's thickness from the model error: fractions of its thinning and of the depth.
+# On a block 16 mm thick, indented by 4 mm, tet10 meshes with edges of 5 to 9 mm and of 3 to 6 mm differ by
+# 0.07 mm for a border 1.5 mm below the skin at rest, and by 0.02 to 0.06 mm for borders at 4 to 10 mm.
+_OF_THINNING, _OF_DEPTH = 0.05, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,56 +264,47 @@ def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array
     return out
 
 
-def deepest(protocol: Protocol) -> float:
-    """Largest depth (mm) of a smooth curve through the readings, limited to the largest reading."""
-    smooth, read = SmoothDepth.through(protocol), float(np.max(protocol.depth, initial=0.0))
-    if len(protocol) < FEWEST_SMOOTH:
-        return read
-    return min(float(np.max(smooth.at(protocol.force))), read)
+def layer_slopes(
+    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: SiteRows, y: Array
+) -> Array:
+    """Derivative of each datum with depth (n,), 0 for other channels.
+
+    place (n_levels,) : ln(1 + F/unit) of the smooth depth, in which layers thin linearly
+    """
+    out = np.zeros(len(rows))
+    for layer, members in _members(rows):
+        assert layers is not None
+        levels = rows.level[members]
+        x = np.r_[0.0, place[levels]]
+        depth = np.r_[0.0, np.maximum(protocol.depth[levels], 0.0)]
+        thickness = np.r_[layers.thickness[0, layer], y[members]]
+        span = float(x @ x)
+        if span <= 0:
+            continue
+        rate, thinning = float(x @ depth) / span, float(x @ (thickness - thickness[0])) / span
+        out[members] = thinning / rate if rate > 0 else 0.0
+    return out
 
 
-@dataclass(frozen=True)
-class SmoothDepth:
-    """depth = start + rate ln(1 + F/unit), in mm, mm, N: a force that grows linearly, then exponentially."""
-
-    start: float
-    rate: float
-    unit: float
-
-    @staticmethod
-    def through(protocol: Protocol) -> SmoothDepth:
-        """Least-squares fit to the depths, the noisier reading.
-
-        >>> force = np.linspace(0.0, 20.0, 11)
-        >>> found = SmoothDepth.through(Protocol(force, 3.0 * np.log1p(force / 2.0), force))
-        >>> round(found.rate, 2), round(found.unit, 2)
-        (3.0, 2.0)
-        """
-        largest = max(float(np.max(protocol.force, initial=0.0)), 1e-3)
-        if len(protocol) < FEWEST_SMOOTH or np.ptp(protocol.force) <= 0:
-            rate = max(float(np.ptp(protocol.depth)), 1e-9) / np.log1p(1.0 / _STRAIGHT)
-            return SmoothDepth(0.0, rate, _STRAIGHT * largest)
-        best, found = np.inf, SmoothDepth(0.0, 1e-9, largest)
-        for unit in largest * np.geomspace(_STEEP, _STRAIGHT, 61):
-            x = _place(protocol.force, unit)
-            rate, start = np.polyfit(x, protocol.depth, 1)
-            left = float(np.sum((protocol.depth - start - rate * x) ** 2))
-            if rate > 0 and left < best:
-                best, found = left, SmoothDepth(float(start), float(rate), float(unit))
-        return found
-
-    def at(self, force: Array) -> Array:
-        """mm at these forces."""
-        return self.start + self.rate * self.place(force)
-
-    def slope(self, force: Array) -> Array:
-        """N/mm at these forces."""
-        return np.asarray((np.maximum(force, 0.0) + self.unit) / self.rate)
-
-    def place(self, force: Array) -> Array:
-        """Coordinate along the curve: ln(1 + F/unit)."""
-        return _place(force, self.unit)
+def layer_noise(
+    layers: LayerReadings | None, protocol: Protocol, rows: SiteRows, y: Array, source: str
+) -> list[NoisePart]:
+    """Common errors of the readings of one layer: of its thickness at first touch, and of the model."""
+    parts = []
+    for layer, members in _members(rows):
+        assert layers is not None
+        first, model = np.zeros(len(rows)), np.zeros(len(rows))
+        first[members] = layers.deviation * layers.growth(np.maximum(y[members], 0.0), layer)
+        thinner = layers.thickness[0, layer] - y[members]
+        depth = np.maximum(protocol.depth[rows.level[members]], 0.0)
+        model[members] = np.hypot(_OF_THINNING * thinner, _OF_DEPTH * depth)
+        name = layers.names[layer]
+        parts.append(common(f"{FIRST_TOUCH}, {name}", first, source=source))
+        parts.append(common(f"model: layers, {name}", model, source="assumed"))
+    return parts
 
 
-def _place(force: Array, unit: float) -> Array:
-    return np.log1p(np.maximum(force, 0.0) / unit)
+def _members(rows: SiteRows) -> list[tuple[int, IntArray]]:
+    """Indices of the data of each layer."""
+    mine = rows.among(LAYER)
+    return [(k, np.flatnonzero(mine & (rows.part == k))) for k in np.unique(rows.part[mine]).tolist()]

@@ -25,6 +25,8 @@ from limbcli.site_model.layer_readings import LayerReadings
 
 LAYER = "layer"  # channel of the layers' thicknesses
 TRAVEL_DEVIATION = 0.1  # mm, standard deviation of a travel read on a guide's scale
+FEWEST_SMOOTH = 4  # fewest levels for a smooth depth-force curve
+_STEEP, _STRAIGHT = 0.01, 10.0  # range of `SmoothDepth.unit`, as a multiple of the largest force
 THICKNESS_DEVIATION = 1.0  # mm, standard deviation of skin-bone distance: MRI voxel size and posture
 
 
@@ -153,6 +155,61 @@ def readings(levels: Levels) -> Protocol:
     known = known_levels(levels)
     unloading = tuple((~levels.loading[known]).tolist())
     return Protocol(levels.force[known], levels.depth[known], levels.hold[known], unloading=unloading)
+
+
+def deepest(protocol: Protocol) -> float:
+    """Largest depth (mm) of a smooth curve through the readings, limited to the largest reading."""
+    smooth, read = SmoothDepth.through(protocol), float(np.max(protocol.depth, initial=0.0))
+    if len(protocol) < FEWEST_SMOOTH:
+        return read
+    return min(float(np.max(smooth.at(protocol.force))), read)
+
+
+@dataclass(frozen=True)
+class SmoothDepth:
+    """depth = start + rate ln(1 + F/unit), in mm, mm, N: a force that grows linearly, then exponentially."""
+
+    start: float
+    rate: float
+    unit: float
+
+    @staticmethod
+    def through(protocol: Protocol) -> SmoothDepth:
+        """Least-squares fit to the depths, the noisier reading.
+
+        >>> force = np.linspace(0.0, 20.0, 11)
+        >>> found = SmoothDepth.through(Protocol(force, 3.0 * np.log1p(force / 2.0), force))
+        >>> round(found.rate, 2), round(found.unit, 2)
+        (3.0, 2.0)
+        """
+        largest = max(float(np.max(protocol.force, initial=0.0)), 1e-3)
+        if len(protocol) < FEWEST_SMOOTH or np.ptp(protocol.force) <= 0:
+            rate = max(float(np.ptp(protocol.depth)), 1e-9) / np.log1p(1.0 / _STRAIGHT)
+            return SmoothDepth(0.0, rate, _STRAIGHT * largest)
+        best, found = np.inf, SmoothDepth(0.0, 1e-9, largest)
+        for unit in largest * np.geomspace(_STEEP, _STRAIGHT, 61):
+            x = _place(protocol.force, unit)
+            rate, start = np.polyfit(x, protocol.depth, 1)
+            left = float(np.sum((protocol.depth - start - rate * x) ** 2))
+            if rate > 0 and left < best:
+                best, found = left, SmoothDepth(float(start), float(rate), float(unit))
+        return found
+
+    def at(self, force: Array) -> Array:
+        """mm at these forces."""
+        return self.start + self.rate * self.place(force)
+
+    def slope(self, force: Array) -> Array:
+        """N/mm at these forces."""
+        return np.asarray((np.maximum(force, 0.0) + self.unit) / self.rate)
+
+    def place(self, force: Array) -> Array:
+        """Coordinate along the curve: ln(1 + F/unit)."""
+        return _place(force, self.unit)
+
+
+def _place(force: Array, unit: float) -> Array:
+    return np.log1p(np.maximum(force, 0.0) / unit)
 
 
 def measured_rows(seen: SiteReadings) -> Stacked:

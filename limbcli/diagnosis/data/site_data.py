@@ -11,18 +11,23 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from limbcli.case import StatedNoise
-from limbcli.diagnosis.data.layer_rows import layer_slopes
 from limbcli.diagnosis.data.noise_parts import (
-    FEWEST_SMOOTH,
     GAIN_OF_SPEEDS,
     STRAIN,
     KnownErrors,
     MapNoise,
-    SmoothDepth,
     depth_slopes,
+    layer_slopes,
     noise_parts,
 )
-from limbcli.diagnosis.data.rows import LAYER, SiteReadings, SiteRows, measured_rows
+from limbcli.diagnosis.data.rows import (
+    FEWEST_SMOOTH,
+    LAYER,
+    SiteReadings,
+    SiteRows,
+    SmoothDepth,
+    measured_rows,
+)
 from limbcli.diagnosis.data.windows import Windows, pitch_of
 from limbcli.diagnosis.explanations.forward_model import Data, Mask
 from limbcli.diagnosis.explanations.noise import ASSUMED, Noise, NoisePart, common
@@ -58,10 +63,7 @@ class SiteData:
     rows: SiteRows
     data: Data
     slope: Array
-
-    @property
-    def protocol(self) -> Protocol:
-        return self.seen.protocol
+    protocol: Protocol
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -97,8 +99,9 @@ class SiteData:
         direction = np.where(first != 0.0, (more - less) / (2 * _STRAIN_STEP), 0.0)
         deviation = next((each.strain for each in self.model.errors if each.name == STRAIN), 0.0)
         moved = deviation * direction
-        noise = self.data.noise.with_part(common(STRAIN, moved, source=part.source))
-        return replace(self, data=replace(self.data, noise=noise))
+        noise, new = self.data.noise, common(STRAIN, moved, source=part.source)
+        parts = (new if each is part else each for each in noise.parts)
+        return replace(self, data=replace(self.data, noise=noise.with_parts(parts)))
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The prediction (n,) of every datum at the depths that were read.
@@ -220,7 +223,9 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
         series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
         place=_place(rows, windows),
     )  # fmt: skip
-    return SiteData(name=name, seen=seen, model=model, rows=rows, data=data, slope=slope)
+    return SiteData(
+        name=name, seen=seen, model=model, rows=rows, data=data, slope=slope, protocol=protocol
+    )  # fmt: skip
 
 
 def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:

@@ -82,31 +82,24 @@ def _size(weight: float, found: Posterior, name: str) -> Truncated:
 
 
 def sizes_95(
-    names: Sequence[str], alone: Mapping[Explanation, Posterior], linear: LinearEvidence,
-    nulls: Mapping[str, Mapping[str, float]],
-) -> dict[str, dict[str, tuple[float, float]]]:  # fmt: skip
+    alone: Mapping[Explanation, Posterior], linear: LinearEvidence
+) -> dict[str, dict[str, tuple[float, float]]]:
     """95 % interval of every size of an effect when it alone is added to the model.
 
     From its fit, and to first order at the other points of its grid, weighted by their evidence: where an
     effect is absent, the most probable point is a matter of chance.
-
-    nulls : by effect, the null values of its sizes
     """
     found: dict[str, dict[str, tuple[float, float]]] = {}
-    for name in names:
-        points = linear.added.get(name, ())
-        if not points:
-            continue
+    for name, points in linear.added.items():
         fit, best = alone.get((name,)), linear.best(name)
         top = float(best.ln_factor(linear.residual[None])[0])
         found[name] = {}
-        for size in best.direction.names:
+        for q, (size, prior) in enumerate(best.direction.priors.items()):
             several = [] if fit is None else [_size(1.0, fit, size)]
             for each in points:
                 if fit is None or each is not best:
-                    q = each.direction.names.index(size)
                     weight = math.exp(float(each.ln_factor(linear.residual[None])[0]) - top)
-                    null, mean = nulls[name][size], float(each.sizes(linear.residual[None])[0, q])
+                    null, mean = prior.mean, float(each.sizes(linear.residual[None])[0, q])
                     deviation = float(np.sqrt(each.covariance[q, q]))
                     several.append(
                         Truncated(weight, null + mean, deviation, null + each.low[q], null + each.high[q])

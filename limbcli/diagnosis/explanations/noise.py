@@ -29,20 +29,6 @@ from limbcli.numbers.whitening import Whitener
 _RANK = 1e-8
 
 
-def _span(jacobian: Array) -> Array:
-    """Orthonormal basis (n, rank) of the column space."""
-    if jacobian.shape[1] == 0:
-        return np.zeros((len(jacobian), 0))
-    u, s, _ = np.linalg.svd(_even(jacobian), full_matrices=False)
-    return np.asarray(u[:, s > _RANK * max(float(s[0]), 1e-300)])
-
-
-def _even(columns: Array) -> Array:
-    """Columns scaled to unit length."""
-    length = np.linalg.norm(columns, axis=0)
-    return columns / np.where(length > 0, length, 1.0)
-
-
 @dataclass(frozen=True, eq=False)
 class LinearFit:
     """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the projector P off J.
@@ -62,7 +48,9 @@ class LinearFit:
             prior, a bound, or a kink in the model, where the derivatives are those of neither side; following
             the derivatives would assume implausible sizes.
         """
-        basis = _span(jacobian)
+        length = np.linalg.norm(jacobian, axis=0)
+        u, s, _ = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0), full_matrices=False)
+        basis = u[:, s > _RANK * np.max(s, initial=1e-300)]
         pull = basis.T @ residual
         if as_it_stands and float(pull @ pull) > 1.0:
             basis = basis @ null_space(pull[None, :])
@@ -82,15 +70,14 @@ class LinearFit:
         """
         return x - self.basis @ (self.basis.T @ x)
 
-    @property
+    @cached_property
     def left(self) -> Array:
         """P r (n,)."""
         return self.project(self.residual)
 
     @property
     def chi2(self) -> float:
-        left = self.left
-        return float(left @ left)
+        return float(self.left @ self.left)
 
 
 ASSUMED = "assumed"
@@ -152,19 +139,17 @@ class Noise:
 
     def with_share(self, name: str, share: float) -> Noise:
         """The noise with the standard deviation of part `name` scaled by the estimated `share`."""
-        return self._of(part.scaled(share) if part.name == name else part for part in self.parts)
+        return self.with_parts(part.scaled(share) if part.name == name else part for part in self.parts)
 
     def amplified(self, times: Array | None) -> Noise:
         """The noise with the model's errors multiplied by these factors (n,); None: by 1."""
         if times is None:
             return self
-        return self._of(part.times(times) if part.name.startswith(OF_MODEL) else part for part in self.parts)
+        return self.with_parts(
+            part.times(times) if part.name.startswith(OF_MODEL) else part for part in self.parts
+        )
 
-    def with_part(self, new: NoisePart) -> Noise:
-        """The noise with the part of this name replaced."""
-        return self._of(new if part.name == new.name else part for part in self.parts)
-
-    def _of(self, parts: Iterable[NoisePart]) -> Noise:
+    def with_parts(self, parts: Iterable[NoisePart]) -> Noise:
         return Noise(tuple(parts), self.stated)
 
     @property
@@ -211,17 +196,13 @@ def of_groups(name: str, direction: Array, group: IntArray, *, source: str) -> N
 def correlated(
     name: str, deviation: Array, order: Array, *, correlation: float, source: str
 ) -> NoisePart:  # fmt: skip
-    """Noise correlated between neighbours: covariance sd_i sd_j correlation^|order_i - order_j|; data with
-    NaN order are independent.
+    """Noise correlated between neighbours: covariance sd_i sd_j correlation^|order_i - order_j|.
 
     >>> correlated("x", np.ones(2), np.array([0.0, 1.0]), correlation=0.5, source="spec").covariance
     array([[1. , 0.5],
            [0.5, 1. ]])
     """
-    distance = np.abs(order[:, None] - order[None, :])
-    kernel = np.where(np.isfinite(distance), correlation ** np.nan_to_num(distance, nan=0.0), 0.0)
-    kernel[np.isnan(distance)] = 0.0
-    np.fill_diagonal(kernel, 1.0)
+    kernel = correlation ** np.abs(order[:, None] - order[None, :])
     return NoisePart(name, deviation[:, None] * kernel * deviation[None, :], source)
 
 

@@ -160,15 +160,14 @@ def force_jump(data: Data, base: Fitted, *, explained: float) -> ForceJump | Non
     its chi2.
     """
     whiten = Whitener.of(data.noise.covariance)
-    fit = LinearFit.of(whiten(data.y - base.prediction), whiten(base.jacobian))
-    left = fit.project(fit.residual)
+    fit = base.whitened(data.y, whiten)
     found: list[ForceJump] = []
     mask = data.channels().get("force", np.zeros(len(data), dtype=bool))
     for level in np.unique(data.order[mask])[_FEWEST : 1 - _FEWEST]:
         step = fit.project(whiten((mask & (data.order >= level)).astype(float)))
         length = float(step @ step)
         if length > 0.0:
-            pull = float(step @ left)
+            pull = float(step @ fit.left)
             found.append(ForceJump(pull / length, int(level), pull**2 / length))
     best = max(found, key=lambda each: each.chi2, default=None)
     if best is None or best.chi2 < chdtri(1, decisions.CHECKED / len(found)):

@@ -12,7 +12,6 @@ import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 
 import numpy as np
 
@@ -210,9 +209,8 @@ class Search:
                 directions[name] = [each for each in several if np.any(each.columns)]
             if not explanation:
                 self.progress.event("task", name="candidate " + name, done=k + 1, total=len(self.facts))
-        priors = {name: self.forward_model.size_priors(name) for name in directions}
         self.linear[explanation] = LinearEvidence.about(
-            found.fitted, self.data.y, self.whitener(found), directions, priors
+            found.fitted, self.data.y, self.whitener(found), directions
         )
 
     def explained(self) -> list[Explained]:
@@ -242,13 +240,8 @@ class Search:
                 for one, other in (pair, pair[::-1])
                 if (one,) in self.linear and other in self.linear[(one,)].added
             ]  # fmt: skip
-            found[pair] = max(about) if about else nothing + self._ln_factors_of_pairs[pair]
+            found[pair] = max(about) if about else nothing + self.linear[()].ln_factors_of_pairs[pair]
         return found
-
-    @cached_property
-    def _ln_factors_of_pairs(self) -> dict[Explanation, float]:
-        """About the fit without effects."""
-        return self.linear[()].ln_factors_of_pairs()
 
     def _fit(self, explanation: Explanation) -> Posterior | None:
         try:

@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnosis.data.noise_parts import USUAL_THICKNESS, SmoothDepth, maps_model_error
-from limbcli.diagnosis.data.rows import ExtraMeasurement
+from limbcli.diagnosis.data.noise_parts import USUAL_THICKNESS, maps_model_error
+from limbcli.diagnosis.data.rows import ExtraMeasurement, SmoothDepth
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Proposal
 from limbcli.diagnosis.forward_model.predictions import Predictions
@@ -78,8 +78,7 @@ def items() -> tuple[Item, ...]:
         Item("wave speeds", "take a shear-wave mean at every level",
              lambda c, r, p: read(c, p, r).log_speed[:, 0], _each(0.05), instead_of="swe"),
         Item("speed maps", "export the maps, not only their means",
-             lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map",
-             model_error=_error_of_contrast),
+             _contrast, _each(0.035), instead_of="map", model_error=_error_of_contrast),
     )  # fmt: skip
 
 
@@ -92,7 +91,7 @@ def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
         If a key is not on the menu, or a ratio is not above 0.
     """
     by_key = {item.given: item for item in items() if item.given}
-    found = []
+    nothing, found = Protocol(*np.zeros((3, 1))), []
     for key, value in given.items():
         if key not in by_key:
             fix = "; ".join(f"{k}: {item.meaning}" for k, item in by_key.items())
@@ -101,11 +100,8 @@ def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
         if not np.isfinite(value) or (key == "rate_ratio" and value <= 0):
             raise CaseError(f"{key}={value:g} cannot be", where="--measured", fix=item.meaning)
         y = np.array([np.log(value) if key == "rate_ratio" else value])
-        found.append(ExtraMeasurement(item.name, item.see, y, item.deviation(_NOTHING, 1)))
+        found.append(ExtraMeasurement(item.name, item.see, y, item.deviation(nothing, 1)))
     return found
-
-
-_NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
 def menu(
@@ -132,15 +128,16 @@ def _there(site: SiteData) -> set[str]:
     return set(site.channels) - ({"swe"} if in_part else set())
 
 
-def _contrast(log_speed: Array) -> Array:
+def _contrast(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln speeds of the parts of the window relative to the mean, at every level."""
+    log_speed = read(curves, protocol, reading).log_speed
     return np.asarray(np.nan_to_num(log_speed[:, 1:] - log_speed[:, :1]).ravel())
 
 
 def _error_of_contrast(site: SiteCurves) -> Array:
     """Covariance of `_contrast` from the model error in maps."""
     protocol, middles = site.site.protocol, site.simulations.windows.middles
-    thickness = site.thickness if site.has_bone else USUAL_THICKNESS
+    thickness = site.thickness if site.thickness > 0 else USUAL_THICKNESS
     strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / thickness
     level, part = (each.ravel() for each in np.indices((len(protocol), len(middles))))
     of_parts = maps_model_error(middles, part, strain[level], level)
@@ -177,9 +174,6 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     return read(curves, there_and_back, reading).force[len(protocol) :]
 
 
-# ---------------------------------------------------------------- at one site
-
-
 def _proposal(predictions: Predictions, fits: Sequence[Fitted], item: Item) -> Proposal:
     site = predictions.sites[0]
     seen = {fitted.explanation: _seen(predictions, fitted, site, item.see) for fitted in fits}
@@ -202,9 +196,8 @@ def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See)
     model, center = predictions.model_of(fitted), predictions.x_of(fitted)
 
     def at(x: Array) -> Array:
-        values = dict(zip(fitted.effect_names, x[2:].tolist(), strict=True))
-        theta, (c, m) = predictions.theta(values, fitted.explanation, 0), np.exp(x[:2]).tolist()
-        return see(*where.read(c, m, model, theta), where.site.protocol)
+        c, m, thetas = predictions.values_of(x, fitted.explanation)
+        return see(*where.read(c, m, model, thetas[0]), where.site.protocol)
 
     columns = []
     for k in range(len(center)):
@@ -212,9 +205,6 @@ def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See)
         step[k] = 1e-3 * max(abs(center[k]), 0.1)
         columns.append((at(center + step) - at(center - step)) / (2 * step[k]))
     return at(center), np.stack(columns, axis=1)
-
-
-# ---------------------------------------------------------------- another orientation
 
 
 def _rotated(

@@ -1,7 +1,6 @@
 """Predictions of explanations for the data of one site, or of several measurements of one place.
 
-Evaluated on each site's `surrogate` from c, m and the effects' parameters, at given points of the effects'
-grids.
+Evaluated on each site's `surrogate` from c, m and effects' parameters, at given points of the effects' grids.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnosis.curves.site_simulations import SiteSimulations
+from limbcli.diagnosis.curves.curve_plan import some_solved
 from limbcli.diagnosis.data.site_data import SiteData, joined
 from limbcli.diagnosis.explanations.estimates import LN_M_DEVIATION, USUAL_M
 from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Prior
@@ -73,8 +72,7 @@ def held_points(effect: Effect) -> list[Theta]:
 
 
 class Predictions:
-    """Predictions for sites that share the tissue and the candidate effects, their data, and the priors of
-    what is fitted.
+    """Of sites that share the tissue and the candidate effects, with the priors of what is fitted.
 
     data : of all sites; whiten : of their noise, as fits weight it
     """
@@ -110,10 +108,6 @@ class Predictions:
     def site(self) -> SiteData:
         """The first site's data."""
         return self.sites[0].site
-
-    @property
-    def simulations(self) -> SiteSimulations:
-        return self.sites[0].simulations
 
     def slots(self, explanation: Explanation) -> tuple[Slot, ...]:
         """The parameters of an explanation, in order."""
@@ -158,6 +152,12 @@ class Predictions:
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
 
+    def values_of(self, x: Array, explanation: Explanation) -> tuple[float, float, list[dict[str, float]]]:
+        """c (MPa), m, and the effect parameters of every site for a parameter vector."""
+        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        thetas = [self.theta(values, explanation, k) for k in range(len(self.sites))]
+        return float(np.exp(x[0])), float(np.exp(x[1])), thetas
+
     def predict(self, x: Array, model: AtPoints = NOTHING) -> Array:
         """Prediction (n,) for x: ln c, ln m, then the effects' parameters in order.
 
@@ -166,10 +166,8 @@ class Predictions:
         SolveError
             If there is no solution, or it is not finite.
         """
-        names = model.explanation
-        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
-        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
-        parts = [each.predict(c, m, model, self.theta(values, names, k)) for k, each in enumerate(self.sites)]
+        c, m, thetas = self.values_of(x, model.explanation)
+        parts = [each.predict(c, m, model, theta) for each, theta in zip(self.sites, thetas, strict=True)]
         found = parts[0] if len(parts) == 1 else np.concatenate(parts)
         if not np.isfinite(found).all():
             raise SolveError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
@@ -178,12 +176,10 @@ class Predictions:
     def amplification(self, x: Array, model: AtPoints) -> Array | None:
         """Change (n,) of each shown ln speed per change of it in the tissue; 1 for other data. None if 1 for
         all."""
-        names = model.explanation
-        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
-        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
+        c, m, thetas = self.values_of(x, model.explanation)
         found = np.concatenate([
-            each.site.amplification(*each.read(c, m, model, self.theta(values, names, k)))
-            for k, each in enumerate(self.sites)
+            each.site.amplification(*each.read(c, m, model, theta))
+            for each, theta in zip(self.sites, thetas, strict=True)
         ])  # fmt: skip
         return None if np.allclose(found, 1.0) else found
 
@@ -200,25 +196,12 @@ class Predictions:
 
     def _slope(self, x: Array, step: Array, model: AtPoints) -> Array:
         """Change over this step by central differences, or by a one-sided difference if one side has no
-        solution.
-
-        Raises
-        ------
-        SolveError
-            If neither side has a solution.
-        """
-        sides, problem = {}, None
-        for sign in (1.0, -1.0):
-            try:
-                sides[sign] = self.predict(x + sign * step, model)
-            except SolveError as error:
-                problem = error
-        if not sides and problem is not None:
-            raise problem
-        if len(sides) < 2:
-            sides[0.0] = self.predict(x, model)
-        upper, lower = max(sides), min(sides)
-        return np.asarray((sides[upper] - sides[lower]) / (upper - lower))
+        solution; SolveError if neither has."""
+        known = some_solved(lambda sign: (sign, self.predict(x + sign * step, model)), (1.0, -1.0))
+        if len(known) < 2:
+            known.append((0.0, self.predict(x, model)))
+        (lower, low), (upper, high) = sorted(known, key=lambda each: each[0])
+        return np.asarray((high - low) / (upper - lower))
 
     def priors(self, explanation: Explanation) -> tuple[Prior, ...]:
         """Priors of ln c, ln m, and the effects' parameters."""
@@ -239,7 +222,7 @@ class Predictions:
             If an effect requires data that were not measured, a bone, or FEBio.
         """
         has = {channel for each in self.sites for channel in each.site.channels}
-        has |= {"bone"} if all(each.has_bone for each in self.sites) else set()
+        has |= {"bone"} if all(each.thickness > 0 for each in self.sites) else set()
         for name in explanation:
             for each in self.sites:
                 if name in each.refused:
@@ -260,7 +243,7 @@ class Predictions:
 
     def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
         parameters = [slot.parameter for slot in self.slots(explanation)]
-        c = self.simulations.c
+        c = self.sites[0].simulations.c
         low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
         high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
         return low, high

@@ -29,7 +29,6 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
-_NONE: Mapping[str, LimbError] = {}
 _NEAR = 5  # number of solved values of m used in the interpolation
 _ON = 0.25  # range of polynomial extrapolation in m, as a fraction of the span of solved values
 # Largest change of ln force and ln speed by effects: larger trial values in a fit would overflow.
@@ -129,9 +128,9 @@ class SiteCurves:
     def __init__(
         self, site: SiteData, simulations: SiteSimulations, effects: Mapping[str, Effect], *,
         correction: MeshCorrection | None = None, penetration: Penetration | None = None,
-        refused: Mapping[str, LimbError] = _NONE, progress: Progress = SILENT,
+        refused: Mapping[str, LimbError] | None = None, progress: Progress = SILENT,
     ):  # fmt: skip
-        self.site, self.simulations, self.effects, self.refused = site, simulations, effects, refused
+        self.site, self.simulations, self.effects, self.refused = site, simulations, effects, refused or {}
         self.correction, self.penetration = correction, penetration
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
@@ -140,33 +139,15 @@ class SiteCurves:
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}  # by the key of the model
 
     def solve_nodes(self, values: Sequence[float]) -> None:
-        """Solve at these m, the stiffest law first; failures are left out unless all fail.
-
-        Raises
-        ------
-        SolveError
-            If none can be solved.
-        """
-        for m in sorted(values, reverse=True):
-            self.solve_node(m)
+        """Solve at these m, the stiffest law first; failures are left out, but SolveError if all fail."""
+        self.nodes |= where_solved(self.simulations.curves, sorted(values, reverse=True))
         if not self.nodes:
             self.simulations.curves(min(values))  # raises
-
-    def solve_node(self, m: float) -> bool:
-        """Solve at one further m; returns whether this succeeded."""
-        found = where_solved(self.simulations.curves, (m,))
-        self.nodes |= found
-        return m in found
 
     @property
     def thickness(self) -> float:
         """mm from skin to bone along the beam; NaN if the beam meets no bone in the model."""
         return next((each.thickness for each in self.nodes.values() if each.thickness > 0), float("nan"))
-
-    @property
-    def has_bone(self) -> bool:
-        """Whether the beam meets bone in the model."""
-        return self.thickness > 0
 
     def predict(self, c: float, m: float, model: AtPoints, theta: Theta) -> Array:
         """Prediction of this site's data (n,)."""
@@ -193,7 +174,7 @@ class SiteCurves:
             values = values + self._repairs[model.key].at(self._sizes(model, theta), float(np.log(m)))
         for name, point in model:
             if self.effects[name].solves:
-                values = values + self.changes.of(self.effects[name], point).at(theta)
+                values = values + self.changes.of(self.effects[name], point)(theta)
         values = base + np.clip(values - base, -_MOST_CHANGE, _MOST_CHANGE)
         others = plain.with_columns(values[:, 1:])
         log_speed = others["log_speed"]
@@ -213,13 +194,8 @@ class SiteCurves:
         return reading
 
     def repair(self, m: float, model: AtPoints, theta: Theta) -> None:
-        """Simulate the model with these effects, and correct the surrogate to the result.
-
-        Raises
-        ------
-        SolveError
-            If the simulation fails.
-        """
+        """Simulate the model with these effects (SolveError if that fails), and correct the surrogate to the
+        result."""
         effects = [(self.effects[name], point) for name, point in model]
         solving = tuple(
             (e, {**e.null, **{k: v for k, v in theta.items() if k in e.null}, **e.without_onset(q)})

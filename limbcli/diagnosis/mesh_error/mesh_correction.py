@@ -33,11 +33,10 @@ from limbcli.effects.crop import LIMB_POSITION
 from limbcli.effects.curves import Curves, continued, depth_at, filled, gaps_filled, log_force_at
 from limbcli.effects.far_side import FAR_SIDE
 from limbcli.errors import CaseError, LimbError
-from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
-from limbcli.results import read_result
+from limbcli.results import data_if_there, read_result
 
 if TYPE_CHECKING:
     from limbcli.diagnosis.mesh_error.numerical_checks import NumericalChecks
@@ -130,10 +129,7 @@ def own_layers(site: Site, out: Path) -> str:
     Such layers have a separate stiffness, whereas a diagnosis treats everything as one tissue: their effect
     on the force is not a mesh error.
     """
-    try:
-        layers = read_result(out, "mesh", site=site.name).data.get("layers") or {}
-    except LimbError:
-        return ""
+    layers = data_if_there(out, "mesh", site=site.name).get("layers") or {}
     return " and ".join(name.removesuffix("_mm") for name in layers)
 
 
@@ -171,15 +167,6 @@ def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
     scale = c / mpa_from_kpa(float(built.data["c_kpa"]))
     curve = np.r_[0.0, depth[rising]], np.r_[0.0, force[rising] * scale]
     return str(built.data.get("element")), Curves(*curve, np.zeros((len(rising) + 1, 0)), np.zeros(0))
-
-
-def contact_penalty(site: Site, out: Path) -> float:
-    """The contact penalty of the site's model as built; the usual one if unknown."""
-    try:
-        found = read_result(out, "build-feb", site=site.name).data.get("contact_penalty")
-    except LimbError:
-        return USUAL_PENALTY
-    return float(found) if isinstance(found, int | float) else USUAL_PENALTY
 
 
 # The error of quadratic elements is proportional to the square of their edge length: the finer of two meshes

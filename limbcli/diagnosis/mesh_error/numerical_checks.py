@@ -20,15 +20,13 @@ from limbcli.diagnosis.curves.curve_plan import FIRST_M, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.noise_parts import (
     COMPRESSIBILITY,
-    FEWEST_SMOOTH,
     IN_MEAN,
     STRAIN,
     USUAL_THICKNESS,
     KnownErrors,
     ModelError,
-    SmoothDepth,
 )
-from limbcli.diagnosis.data.rows import known_levels, readings
+from limbcli.diagnosis.data.rows import FEWEST_SMOOTH, SmoothDepth, known_levels, readings
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.mesh_error.mesh_correction import (
     F_KAPPA,
@@ -51,7 +49,7 @@ from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.significant_digits import short
 from limbcli.progress import Progress
-from limbcli.results import read_result
+from limbcli.results import data_if_there
 
 USUAL_C = 0.006  # MPa, reference c; arbitrary, as force and modulus are proportional to it
 # Remaining uncertainty as a fraction of the change by 5 % more tissue: surfaces and posture leave 4 %.
@@ -275,8 +273,9 @@ class NumericalChecks:
             ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
             for each in interventions if each.name != "locking"
         ]  # fmt: skip
-        spacing = read_spacing(self.out)
-        touch = _TOUCH_MM if spacing is None else _TOUCH_VOXELS * float(np.prod(spacing)) ** (1 / 3)
+        image = data_if_there(self.out, "segment").get("image")
+        spacing = image.get("spacing_mm") if isinstance(image, dict) else None
+        touch = _TOUCH_VOXELS * float(np.prod(spacing)) ** (1 / 3) if spacing else _TOUCH_MM
         assumed, warning = assumed_gain(self.case, self.site, self.out)
         self.notes.warnings.extend([warning] if warning else [])
         strain, gain = float(np.hypot(touch / thickness, _STRAIN)), float(np.hypot(_GAIN, assumed))
@@ -324,11 +323,8 @@ def at_depths(depth: Array, curves: Curves, table: Array) -> Array:
 
 def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
     """A warning if the numerical uncertainty is a large part of the force, as mostly over thin tissue."""
-    worst = {
-        each.name: each.left * float(np.max(np.abs(each.log_force)))
-        for each in interventions
-        if each.name != "locking" and each.left * np.max(np.abs(each.log_force)) > _DOUBTFUL
-    }
+    left = {each.name: each.left * float(np.max(np.abs(each.log_force))) for each in interventions}
+    worst = {name: each for name, each in left.items() if name != "locking" and each > _DOUBTFUL}
     if not worst:
         return None
     parts = ", ".join(f"{name} {100 * np.expm1(change):.0f} %" for name, change in worst.items())
@@ -348,26 +344,13 @@ def _rise(curves: Curves) -> Array:
     return gaps_filled(rise)
 
 
-def read_spacing(out: Path) -> list[float] | None:
-    """Voxel spacing in mm of the image behind the surfaces; None if surfaces were given."""
-    try:
-        image = read_result(out, "segment").data.get("image")
-    except LimbError:
-        return None
-    found = image.get("spacing_mm") if isinstance(image, dict) else None
-    return [float(each) for each in found] if found else None
-
-
 def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
     """Standard deviation of ln force from an assumed geometry, and a warning; 0 if the geometry was
     imaged."""
     words = case.imaging.assumed
     if not words:
         return 0.0, ""
-    try:
-        uncertainty = read_result(out, "fit", site=site.name).data.get("geometry_uncertainty") or {}
-    except LimbError:
-        uncertainty = {}
+    uncertainty = data_if_there(out, "fit", site=site.name).get("geometry_uncertainty") or {}
     found = uncertainty.get("gain_fraction")
     if uncertainty.get("words") != words or found is None:
         return USUAL_GAIN, (
