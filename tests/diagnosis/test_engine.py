@@ -11,7 +11,7 @@ from scipy.stats import binom
 
 from limbcli.diagnosis.explanations import decisions, engine
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.explanations.predictive_check import Check
+from limbcli.diagnosis.explanations.residuals import Check
 from limbcli.diagnosis.explanations.sentences import sentences
 from tests.diagnosis import toy
 

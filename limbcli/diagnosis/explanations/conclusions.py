@@ -20,8 +20,7 @@ from limbcli.diagnosis.explanations.forward_model import Explanation, Facts, Fit
 from limbcli.diagnosis.explanations.laplace import Posterior
 from limbcli.diagnosis.explanations.linear_evidence import Added
 from limbcli.diagnosis.explanations.noise import CommonError
-from limbcli.diagnosis.explanations.predictive_check import Check
-from limbcli.diagnosis.explanations.residuals import Roughness
+from limbcli.diagnosis.explanations.residuals import Check, Roughness
 from limbcli.diagnosis.explanations.search import Explained
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener

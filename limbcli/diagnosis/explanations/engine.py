@@ -30,8 +30,14 @@ from limbcli.diagnosis.explanations.forward_model import Explanation, ForwardMod
 from limbcli.diagnosis.explanations.laplace import Posterior
 from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence, least_by_chance
 from limbcli.diagnosis.explanations.noise import CommonError, common_errors
-from limbcli.diagnosis.explanations.predictive_check import Check, checked
-from limbcli.diagnosis.explanations.residuals import Roughness, held_out_error, over_shared, roughness
+from limbcli.diagnosis.explanations.residuals import (
+    Check,
+    Roughness,
+    checked,
+    held_out_error,
+    over_shared,
+    roughness,
+)
 from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
 from limbcli.errors import LimbError
 from limbcli.numbers.whitening import Whitener
