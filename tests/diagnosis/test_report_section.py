@@ -98,8 +98,7 @@ def test_words_of_a_gap_of_many_channels_and_sites_can_be_read_in_print(tmp_path
     kept, n = [], 3 * len(CHANNELS)
     monkeypatch.setattr(pictures, "slices", lambda s: [slice(n * k, n * (k + 1)) for k in range(len(s))])
     monkeypatch.setattr(pictures, "save_figure", lambda figure, *_, **__: kept.append(figure))
-    levels = np.tile(np.arange(3), len(CHANNELS))
-    rows = SiteRows(np.repeat(CHANNELS, 3), levels, np.full(n, -1))
+    rows = SiteRows.together([SiteRows.of(each, np.arange(3)) for each in CHANNELS])
     data = SimpleNamespace(y=np.ones(n), deviation=np.ones(n))
     sites = [
         SimpleNamespace(name=f"medial proximal am Köpfchen {k}", rows=rows, data=data,

@@ -12,15 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnosis.data.rows import (
-    LAYER,
-    TRAVEL_DEVIATION,
-    SiteReadings,
-    SiteRows,
-    SmoothDepth,
-    Stacked,
-    within,
-)
+from limbcli.diagnosis.data.rows import LAYER, TRAVEL_DEVIATION, SiteReadings, SiteRows, SmoothDepth, within
 from limbcli.diagnosis.explanations.noise import NoisePart, common, correlated, independent, of_groups
 from limbcli.effects.reading import Protocol
 from limbcli.measurement.map_noise import PixelNoise
@@ -177,28 +169,27 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    seen: SiteReadings, stacked: Stacked, slope: Array, *, maps: MapNoise | None, model: KnownErrors
+    seen: SiteReadings, rows: SiteRows, slope: Array, *, maps: MapNoise | None, model: KnownErrors
 ) -> list[NoisePart]:  # fmt: skip
     """All noise parts of a site's data.
 
     slope (n,) : change of each datum with depth; maps : noise of the parts of maps, if there are any
     """
-    noise, rows, y, own = seen.noise, stacked.rows, stacked.y, stacked.own
-    protocol, keep = seen.protocol, seen.keep
+    noise, protocol, keep = seen.noise, seen.protocol, seen.keep
     source, is_map = noise.source, rows.among("map")
     level = np.minimum(rows.level, len(protocol) - 1)
     exact = (protocol.force == 0.0) & (protocol.depth == 0.0)
     by_depth = np.where(exact[level], 0.0, slope) * noise.depth
     parts = [
-        independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source),
+        independent("measurement: own error of each reading", np.where(is_map, 0.0, rows.own), source=source),
         of_groups("measurement: depth, in all channels of a level", by_depth, rows.level, source=source),
     ]
     if is_map.any() and maps is not None:
         mine = rows.where(is_map)
         parts += [
-            within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, own[is_map]), source),
+            within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, mine.own), source),
             within(IN_MAPS, is_map, maps.of_model(mine, model.map_share), "computed"),
-            within(BESIDE, is_map, maps.beside_unseen(mine, own[is_map]), "assumed"),
+            within(BESIDE, is_map, maps.beside_unseen(mine, mine.own), "assumed"),
             of_groups("measurement: speeds of a level", np.where(is_map, noise.swe_level_fraction, 0.0),
                       rows.level, source=source),
         ]  # fmt: skip
@@ -206,7 +197,7 @@ def noise_parts(
     if speeds.any():
         parts.append(common(GAIN_OF_SPEEDS, np.where(speeds, COMMON_GAIN, 0.0), source="assumed"))
     for each in model.errors:
-        direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
+        direction = _model_direction(rows, each.log_force[keep], each.log_speed[keep])
         pressed = protocol.depth[level]  # 0 at rest: no error there
         shift = each.depth * (pressed > 0) + each.strain * pressed
         direction = direction + shift * np.where(rows.among("travel"), 0.0, slope)
@@ -215,7 +206,7 @@ def noise_parts(
         else:
             along, alike = rows.level.astype(float), each.correlation
             parts.append(correlated(each.name, direction, along, correlation=alike, source="computed"))
-    parts += layer_noise(seen.layers, protocol, rows, y, source)
+    parts += layer_noise(seen.layers, protocol, rows, source)
     if seen.held is not None:
         covariance = seen.held.covariance
         parts.append(within("measurement: forces in holds", rows.among("hold"), covariance, source))
@@ -231,9 +222,9 @@ def noise_parts(
     return parts
 
 
-def _model_direction(rows: SiteRows, y: Array, log_force: Array, log_speed: Array) -> Array:
+def _model_direction(rows: SiteRows, log_force: Array, log_speed: Array) -> Array:
     out, forces, speeds = np.zeros(len(rows)), rows.among("force"), rows.among("swe", "map")
-    out[forces] = y[forces] * log_force[rows.level[forces]]
+    out[forces] = rows.y[forces] * log_force[rows.level[forces]]
     out[speeds] = np.nan_to_num(log_speed[rows.level[speeds], rows.part[speeds]])
     return out
 
@@ -264,9 +255,7 @@ def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array
     return out
 
 
-def layer_slopes(
-    layers: LayerReadings | None, protocol: Protocol, place: Array, rows: SiteRows, y: Array
-) -> Array:
+def layer_slopes(layers: LayerReadings | None, protocol: Protocol, place: Array, rows: SiteRows) -> Array:
     """Derivative of each datum with depth (n,), 0 for other channels.
 
     place (n_levels,) : ln(1 + F/unit) of the smooth depth, in which layers thin linearly
@@ -277,7 +266,7 @@ def layer_slopes(
         levels = rows.level[members]
         x = np.r_[0.0, place[levels]]
         depth = np.r_[0.0, np.maximum(protocol.depth[levels], 0.0)]
-        thickness = np.r_[layers.thickness[0, layer], y[members]]
+        thickness = np.r_[layers.thickness[0, layer], rows.y[members]]
         span = float(x @ x)
         if span <= 0:
             continue
@@ -287,15 +276,15 @@ def layer_slopes(
 
 
 def layer_noise(
-    layers: LayerReadings | None, protocol: Protocol, rows: SiteRows, y: Array, source: str
+    layers: LayerReadings | None, protocol: Protocol, rows: SiteRows, source: str
 ) -> list[NoisePart]:
     """Common errors of the readings of one layer: of its thickness at first touch, and of the model."""
     parts = []
     for layer, members in _members(rows):
         assert layers is not None
         first, model = np.zeros(len(rows)), np.zeros(len(rows))
-        first[members] = layers.deviation * layers.growth(np.maximum(y[members], 0.0), layer)
-        thinner = layers.thickness[0, layer] - y[members]
+        first[members] = layers.deviation * layers.growth(np.maximum(rows.y[members], 0.0), layer)
+        thinner = layers.thickness[0, layer] - rows.y[members]
         depth = np.maximum(protocol.depth[rows.level[members]], 0.0)
         model[members] = np.hypot(_OF_THINNING * thinner, _OF_DEPTH * depth)
         name = layers.names[layer]

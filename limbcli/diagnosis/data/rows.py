@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, dataclass, fields, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -40,18 +40,30 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class SiteRows:
-    """Layout of data: channel, level and part of the window (or -1) of each, (n,)."""
+    """Data in a row (n,): channel, level, part of the window (or -1), value, own standard deviation."""
 
     channel: NDArray[np.str_]
     level: IntArray
     part: IntArray
+    y: Array
+    own: Array
 
     @staticmethod
-    def of(channel: str, level: ArrayLike, part: ArrayLike = -1) -> SiteRows:
-        """SiteRows of one channel, at these levels (n,) and parts (n,)."""
+    def of(
+        channel: str, level: ArrayLike, part: ArrayLike = -1, *, y: ArrayLike = np.nan, own: ArrayLike = 0.0
+    ) -> SiteRows:
+        """Data of one channel; part, y, own : of each, or of all."""
         levels = np.asarray(level, dtype=np.int64)
-        parts = np.broadcast_to(np.asarray(part, dtype=np.int64), levels.shape)
-        return SiteRows(np.full(len(levels), channel), levels, parts)
+        parts, values, deviations = (
+            np.broadcast_to(np.asarray(each, dtype=kind), levels.shape)
+            for each, kind in ((part, np.int64), (y, float), (own, float))
+        )
+        return SiteRows(np.full(len(levels), channel), levels, parts, values, deviations)
+
+    @staticmethod
+    def together(several: Sequence[SiteRows]) -> SiteRows:
+        names = [each.name for each in fields(SiteRows)]
+        return SiteRows(*(np.concatenate([getattr(each, name) for each in several]) for name in names))
 
     def __len__(self) -> int:
         return len(self.level)
@@ -68,31 +80,7 @@ class SiteRows:
         return list(dict.fromkeys(self.channel.tolist()))
 
     def where(self, mask: Mask) -> SiteRows:
-        return SiteRows(self.channel[mask], self.level[mask], self.part[mask])
-
-
-@dataclass(frozen=True, eq=False)
-class Stacked:
-    """Data in a row: layout, values y (n,), and their own standard deviations (n,)."""
-
-    rows: SiteRows
-    y: Array
-    own: Array
-
-    @staticmethod
-    def of(channel: str, level: ArrayLike, y: ArrayLike, own: ArrayLike, part: ArrayLike = -1) -> Stacked:
-        """The data of one channel; own, part : of each, or of all."""
-        rows = SiteRows.of(channel, level, part)
-        return Stacked(rows, np.asarray(y, dtype=float), np.broadcast_to(own, len(rows)).astype(float))
-
-    @staticmethod
-    def together(several: Sequence[Stacked]) -> Stacked:
-        rows = SiteRows(
-            *(np.concatenate([getattr(each.rows, name) for each in several])
-              for name in ("channel", "level", "part"))
-        )  # fmt: skip
-        y, own = (np.concatenate([getattr(each, name) for each in several]) for name in ("y", "own"))
-        return Stacked(rows, y, own)
+        return SiteRows(*(getattr(self, each.name)[mask] for each in fields(SiteRows)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -212,45 +200,47 @@ def _place(force: Array, unit: float) -> Array:
     return np.log1p(np.maximum(force, 0.0) / unit)
 
 
-def measured_rows(seen: SiteReadings) -> Stacked:
+def measured_rows(seen: SiteReadings) -> SiteRows:
     """The data of all channels that a measurement has."""
     levels, protocol, layers, held = seen.levels, seen.protocol, seen.layers, seen.held
     # every level except those at 0 N and 0 mm, which are zero by definition
     used = np.flatnonzero((protocol.force != 0.0) | (protocol.depth != 0.0))
-    found = [Stacked.of("force", used, protocol.force[used], seen.noise.force), _speed_rows(seen)]
+    found = [SiteRows.of("force", used, y=protocol.force[used], own=seen.noise.force), _speed_rows(seen)]
     travel, zero = levels.probe_travel[seen.keep], seen.travel_from  # the latter itself yields no datum
     used = np.flatnonzero(np.isfinite(travel) & (np.arange(len(travel)) != zero))
-    found.append(Stacked.of("travel", used, travel[used] - travel[zero : zero + 1], TRAVEL_DEVIATION))
+    moved = travel[used] - travel[zero : zero + 1]
+    found.append(SiteRows.of("travel", used, y=moved, own=TRAVEL_DEVIATION))
     first = levels.skin_bone[seen.keep[:1]]
     first = first[np.isfinite(first)]
-    found.append(Stacked.of("skin-bone", np.arange(len(first)), first, THICKNESS_DEVIATION))
+    found.append(SiteRows.of("skin-bone", np.arange(len(first)), y=first, own=THICKNESS_DEVIATION))
     if layers is not None:
         table = layers.thickness[seen.keep, : layers.n_counted].T
         layer, level = np.nonzero(np.isfinite(table) & (seen.keep > 0))
-        found.append(Stacked.of(LAYER, level, table[layer, level], layers.deviation, layer))
+        found.append(SiteRows.of(LAYER, level, layer, y=table[layer, level], own=layers.deviation))
     if held is not None:  # each place within a hold is a series; `HeldForces` has the covariance
-        found.append(Stacked.of("hold", np.arange(len(held)), held.y, 0.0, held.place))
-    found += [Stacked.of(each.name, np.arange(len(each.y)), each.y, each.deviation) for each in seen.extras]
-    return Stacked.together(found)
+        found.append(SiteRows.of("hold", np.arange(len(held)), held.place, y=held.y))
+    found += [
+        SiteRows.of(each.name, np.arange(len(each.y)), y=each.y, own=each.deviation) for each in seen.extras
+    ]
+    return SiteRows.together(found)
 
 
-def _speed_rows(seen: SiteReadings) -> Stacked:
+def _speed_rows(seen: SiteReadings) -> SiteRows:
     """Parts of the maps (`MapNoise` gives their covariance), or the mean speeds where there are no maps."""
-    levels, noise, windows, maps, usable = seen.levels, seen.noise, seen.windows, seen.maps, seen.usable
-    keep = seen.keep
+    levels, noise, windows, maps, keep = seen.levels, seen.noise, seen.windows, seen.maps, seen.keep
     if maps is not None and len(maps) == len(levels):
         tables = np.array([windows.log_means(maps[k]) for k in keep]).reshape(-1, 2, 1 + windows.n_parts)
         means, counts = tables[:, 0, 1:], tables[:, 1, 1:]
-        shown = np.isfinite(means) if usable is None else np.isfinite(means) & usable
+        shown = np.isfinite(means) if seen.usable is None else np.isfinite(means) & seen.usable
         level, part = np.nonzero(shown)
         own = noise.swe_pixel_fraction / np.sqrt(np.maximum(counts[shown], 1))
-        return Stacked.of("map", level, means[shown], own, part + 1)
+        return SiteRows.of("map", level, part + 1, y=means[shown], own=own)
     speeds = levels.swe_mean_m_per_s[keep]
     used = np.flatnonzero(np.isfinite(speeds))
     counted = replace(levels, swe_pixels=np.nan_to_num(levels.swe_pixels, nan=1.0))
     stated = SpeedNoise(noise.swe_level_fraction, noise.swe_pixel_fraction)
     own = mean_speed_deviation(counted, stated, with_scatter=False)[keep][used]
-    return Stacked.of("swe", used, np.log(speeds[used]), own, 0)
+    return SiteRows.of("swe", used, 0, y=np.log(speeds[used]), own=own)
 
 
 def within(name: str, mask: Mask, covariance: Array, source: str) -> NoisePart:

@@ -210,15 +210,14 @@ class SiteData:
 def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors()) -> SiteData:
     """Stack the channels that this measurement has."""
     protocol, noise, windows = seen.protocol, seen.noise, seen.windows
-    smooth, stacked = SmoothDepth.through(protocol), measured_rows(seen)
-    rows, y = stacked.rows, stacked.y
-    slope = depth_slopes(protocol, rows, y, model.map_slopes)
-    slope = slope + layer_slopes(seen.layers, protocol, smooth.place(protocol.force), rows, y)
+    smooth, rows = SmoothDepth.through(protocol), measured_rows(seen)
+    slope = depth_slopes(protocol, rows, rows.y, model.map_slopes)
+    slope = slope + layer_slopes(seen.layers, protocol, smooth.place(protocol.force), rows)
     strain = smooth.at(protocol.force) / model.thickness
     of_maps = None if seen.maps is None else map_noise(windows, seen.maps, noise, strain)
-    parts = noise_parts(seen, stacked, slope, maps=of_maps, model=model)
+    parts = noise_parts(seen, rows, slope, maps=of_maps, model=model)
     data = Data(
-        y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
+        rows.y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
         groups=_groups(rows, protocol, windows), blocks=_blocks(rows),
         series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
         place=_place(rows, windows),

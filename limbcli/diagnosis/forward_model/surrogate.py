@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +135,7 @@ class SiteCurves:
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
         self._whole: dict[float, tuple[Curves, Array]] = {}  # by m: `_logs_of`
-        self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
+        self._base = lru_cache(1)(self._interpolated)  # most finite differences of a fit do not change m
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}  # by the key of the model
 
     def solve_nodes(self, values: Sequence[float]) -> None:
@@ -168,7 +168,7 @@ class SiteCurves:
         return self.curves(c, m, model, theta), self.reading(c, model, theta)
 
     def curves(self, c: float, m: float, model: AtPoints, theta: Theta) -> Curves:
-        depth, base, plain = self._base(m)
+        depth, base, plain = self._base(m, len(self.nodes))
         values = base
         if model.key in self._repairs:
             values = values + self._repairs[model.key].at(self._sizes(model, theta), float(np.log(m)))
@@ -250,17 +250,11 @@ class SiteCurves:
         known = self.correction.at(m)
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
-    def _base(self, m: float) -> tuple[Array, Array, Curves]:
+    def _interpolated(self, m: float, n_nodes: int) -> tuple[Array, Array, Curves]:
         """Depths, (ln force, ln speeds...) interpolated at m, and the curves of the nearest solved m.
 
-        Cached for the last m, as most finite differences of a fit do not change it.
+        n_nodes : how many are solved now
         """
-        key = m, len(self.nodes)
-        if self._last_base is None or self._last_base[0] != key:
-            self._last_base = key, self._interpolated(m)
-        return self._last_base[1]
-
-    def _interpolated(self, m: float) -> tuple[Array, Array, Curves]:
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
         weights = _weights(bend(np.array(nodes)), float(bend(m)))
