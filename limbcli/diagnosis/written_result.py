@@ -216,7 +216,6 @@ def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str)
 
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:
-    """Probability and detectable size of every candidate."""
     effects = sorted(found.effects.items(), key=lambda item: item[1])
     figure = Figure(figsize=(8.4, 0.28 * max(len(effects), 4) + 1.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.diagnosis.curves import site_solver
-from limbcli.diagnosis.curves.curve_plan import Reach, SiteWork, Solving
+from limbcli.diagnosis.curves.curve_plan import Reach, SiteWork, Solving, some_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.curves.site_solver import SiteSolver
 from limbcli.diagnosis.data.windows import Windows
@@ -395,6 +395,18 @@ def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
     assert sorted(site.nodes) == solved
     with pytest.raises(SolveError, match="not at 7"):
         SiteCurves(None, Book(), {}).solve_nodes((7.0,))
+
+
+def test_what_fails_for_some_is_left_out_and_for_all_is_an_error():
+    def of(m: float) -> float:
+        if m > 2.0:
+            raise SolveError(f"not at {m:g}", where="level", fix="none")
+        return 10.0 * m
+
+    assert some_solved(of, (1.0, 3.0, 2.0)) == [10.0, 20.0]
+    assert some_solved(of, ()) == []
+    with pytest.raises(SolveError, match="not at 4"):
+        some_solved(of, (3.0, 4.0))
 
 
 class ThicknessBook:

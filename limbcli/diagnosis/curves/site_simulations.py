@@ -190,7 +190,6 @@ class SiteSimulations:
 
     @property
     def spent(self) -> bool:
-        """Whether the simulations have used up the work budget of the diagnosis."""
         return self.work.spent
 
     def close(self) -> None:

@@ -294,6 +294,5 @@ def layer_noise(
 
 
 def _members(rows: SiteRows) -> list[tuple[int, IntArray]]:
-    """Indices of the data of each layer."""
     mine = rows.among(LAYER)
     return [(k, np.flatnonzero(mine & (rows.part == k))) for k in np.unique(rows.part[mine]).tolist()]

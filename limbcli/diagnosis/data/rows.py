@@ -76,7 +76,6 @@ class SiteRows:
         return np.isin(self.channel, channels)
 
     def channels(self) -> list[str]:
-        """The channels, in order."""
         return list(dict.fromkeys(self.channel.tolist()))
 
     def where(self, mask: Mask) -> SiteRows:

@@ -73,7 +73,6 @@ class SiteData:
 
     @property
     def missing(self) -> tuple[str, ...]:
-        """Channels that were not measured."""
         return tuple(each for each in _CHANNELS if each not in self.channels)
 
     def with_share(self, name: str, share: float) -> SiteData:

@@ -243,10 +243,8 @@ class Diagnosis:
 
     @property
     def fits(self) -> dict[Explanation, Fitted]:
-        """The fits of the explanations that were fitted."""
         return {each.explanation: each.posterior.fitted for each in self.explanations if each.posterior}
 
     @property
     def final(self) -> Fitted:
-        """The fit of the chosen explanation."""
         return self.fits.get(self.chosen, self.base)

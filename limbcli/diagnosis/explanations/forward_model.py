@@ -55,7 +55,6 @@ class Data:
         return np.asarray(np.isfinite(self.place).all(axis=1))
 
     def channels(self) -> dict[str, Mask]:
-        """Mask (n,) of each channel."""
         return _masks(self.channel)
 
     def all_series(self) -> dict[str, Mask]:

@@ -266,21 +266,11 @@ def gaussian(
     ln_det -= 2 * np.log(scale).sum()
     ln = -0.5 * float(r @ r) + 0.5 * float(pull @ step) - 0.5 * ln_det + ln_prior - ln_root
     ln += float(ln_probability(step[None], inverse, priors.low, priors.high)[0])
-    ln -= ln_prior_inside(fitted)
+    # of the prior in the box, which the normal ones are divided by; that of uniform ones is 1
+    n = priors.is_normal
+    prior = priors.shift[None, n], np.diag(1 / priors.precision[n]), priors.low[n], priors.high[n]
+    ln -= float(ln_probability(*prior)[0])
     return Posterior(
         fitted, ln_evidence=ln + fitted.ln_points, step=step, covariance=inverse, chi2=float(r @ r),
         shares=dict(shares), level=level,
     )  # fmt: skip
-
-
-def ln_prior_inside(fitted: Fitted) -> float:
-    """ln of the prior probability of the box, which the normal priors are divided by; uniform ones have it
-    1."""
-    priors, total = fitted.priors, 0.0
-    for k in np.flatnonzero(priors.is_normal).tolist():
-        one = slice(k, k + 1)
-        variance = np.full((1, 1), 1 / priors.precision[k])
-        total += float(
-            ln_probability(priors.shift[None, one], variance, priors.low[one], priors.high[one])[0]
-        )
-    return total

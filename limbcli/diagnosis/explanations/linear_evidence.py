@@ -69,7 +69,6 @@ class Added:
         return np.asarray(ln + ln_probability(mean, self.covariance, self.low, self.high))
 
     def beside(self, other: Added) -> Added:
-        """Both effects together."""
         a, b = self.direction, other.direction
         point = ", ".join(filter(None, (a.point, b.point)))
         both = Direction(np.hstack([a.columns, b.columns]), {**a.priors, **b.priors}, point, {**a.at, **b.at})

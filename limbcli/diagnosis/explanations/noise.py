@@ -129,7 +129,6 @@ class Noise:
 
     @cached_property
     def covariance(self) -> Array:
-        """Total covariance (n, n), cached."""
         return np.asarray(sum(part.covariance for part in self.parts))
 
     @property

@@ -63,7 +63,6 @@ class Check:
 
     @property
     def flagged(self) -> tuple[str, ...]:
-        """Parts of the data that the fit does not describe."""
         return tuple(each.name for each in self.parts[1:] if each.p_adjusted < decisions.FALSE_ALARMS)
 
 

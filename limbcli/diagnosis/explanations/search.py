@@ -180,7 +180,6 @@ class Search:
         return None
 
     def fitted(self, fitted: Fitted) -> Posterior:
-        """Add a fit."""
         found = self.known[fitted.explanation] = posterior(
             fitted, self.data.y, self.data.noise, self.forward_model.scalable,
             form=form_error(self.data, fitted), relative=self.relative,

@@ -105,7 +105,6 @@ def _set(found: Diagnosis) -> str:
 
 
 def _common(found: Diagnosis) -> str:
-    """A sentence on the effects that all members share; empty if there are none."""
     first, *others = found.confidence_set
     shared = [name for name in first if all(name in each for each in others)]
     return f" All have {' and '.join(shared)}." if shared and others else ""

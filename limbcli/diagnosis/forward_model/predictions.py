@@ -106,11 +106,9 @@ class Predictions:
 
     @property
     def site(self) -> SiteData:
-        """The first site's data."""
         return self.sites[0].site
 
     def slots(self, explanation: Explanation) -> tuple[Slot, ...]:
-        """The parameters of an explanation, in order."""
         if explanation not in self._slots:
             self._slots[explanation] = tuple(self._slots_of(explanation))
         return self._slots[explanation]
@@ -127,7 +125,6 @@ class Predictions:
         return found
 
     def sizes(self, name: str) -> list[Slot]:
-        """The size parameters of an effect."""
         return [slot for slot in self.slots((name,)) if not slot.parameter.shape]
 
     def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
@@ -147,7 +144,6 @@ class Predictions:
         return AtPoints(fitted.explanation, tuple(chosen))
 
     def x_of(self, fitted: Fitted) -> Array:
-        """Parameter vector of a fit, as for `predict`."""
         values = fitted.values
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])

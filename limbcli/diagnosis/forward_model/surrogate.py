@@ -134,7 +134,6 @@ class SiteCurves:
         self.correction, self.penetration = correction, penetration
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
-        self._whole: dict[float, tuple[Curves, Array]] = {}  # by m: `_logs_of`
         self._base = lru_cache(1)(self._interpolated)  # most finite differences of a fit do not change m
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}  # by the key of the model
 
@@ -258,17 +257,17 @@ class SiteCurves:
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
         weights = _weights(bend(np.array(nodes)), float(bend(m)))
-        total = np.asarray(sum(w * self._logs_of(node) for w, node in zip(weights, nodes, strict=True)))
+        total = np.asarray(
+            sum(w * _logs_without_gaps(self.nodes[node]) for w, node in zip(weights, nodes, strict=True))
+        )
         return first.depth, total + self._corrected(m, total.shape[1]), first
 
-    def _logs_of(self, node: float) -> Array:
-        """`logs` of the curves solved at this m, without gaps: the parts of maps that one m shows and another
-        does not are interpolated between the same depths. Kept until these curves are solved again."""
-        solved = self.nodes[node]
-        known = self._whole.get(node)
-        if known is None or known[0] is not solved:
-            known = self._whole[node] = solved, logs(replace(solved, log_speed=without_gaps(solved)))
-        return known[1]
+
+@lru_cache(4 * _NEAR)  # of a few sites
+def _logs_without_gaps(solved: Curves) -> Array:
+    """`logs` of solved curves without gaps: the parts of maps that one m shows and another does not are
+    interpolated between the same depths."""
+    return logs(replace(solved, log_speed=without_gaps(solved)))
 
 
 def _weights(known: Array, at: float) -> Array:

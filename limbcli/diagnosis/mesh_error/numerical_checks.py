@@ -250,7 +250,6 @@ class NumericalChecks:
 
     @property
     def has_bone(self) -> bool:
-        """Whether the beam meets bone in the model."""
         return self.curves.thickness > 0
 
     def known_errors(self, correction: MeshCorrection, interventions: Sequence[Intervention]) -> KnownErrors:
