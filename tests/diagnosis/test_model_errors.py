@@ -60,7 +60,7 @@ def with_voxels(out: Path, spacing: list[float]) -> None:
 
 
 CORRECTION = MeshCorrection(
-    m=np.ones(1), log_force=np.zeros((1, 6)), log_speed=np.zeros((1, 6, 3)), thickness_ratio=1.0,
+    m=np.ones(1), logs=np.zeros((1, 6, 4)), thickness_ratio=1.0,
     mesh_error=np.full(N, 0.02), speed_error=np.full(N, 0.004),
 )  # fmt: skip
 

@@ -175,7 +175,7 @@ class SmoothDepth:
             return SmoothDepth(0.0, rate, _STRAIGHT * largest)
         best, found = np.inf, SmoothDepth(0.0, 1e-9, largest)
         for unit in largest * np.geomspace(_STEEP, _STRAIGHT, 61):
-            x = _place(protocol.force, unit)
+            x = SmoothDepth(0.0, 1.0, unit).place(protocol.force)
             rate, start = np.polyfit(x, protocol.depth, 1)
             left = float(np.sum((protocol.depth - start - rate * x) ** 2))
             if rate > 0 and left < best:
@@ -192,11 +192,7 @@ class SmoothDepth:
 
     def place(self, force: Array) -> Array:
         """Coordinate along the curve: ln(1 + F/unit)."""
-        return _place(force, self.unit)
-
-
-def _place(force: Array, unit: float) -> Array:
-    return np.log1p(np.maximum(force, 0.0) / unit)
+        return np.log1p(np.maximum(force, 0.0) / self.unit)
 
 
 def measured_rows(seen: SiteReadings) -> SiteRows:

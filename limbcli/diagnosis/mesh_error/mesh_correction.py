@@ -51,16 +51,15 @@ _ENOUGH = 0.6  # fraction of the depth needed that the own mesh must reach
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshCorrection:
-    """Additive correction of the working mesh's curves at increasing `m` (n_m,): ln force (n_m, n), ln speeds
-    (n_m, n, n_parts); ratio of the thicknesses.
+    """Additive correction of the working mesh's ln force and ln speeds, `logs` (n_m, n, 1 + n_parts), at
+    increasing `m` (n_m,); ratio of the thicknesses.
 
     mesh_error, speed_error : standard deviation of the remaining mesh error of ln force and of ln mean speed
     at the levels (n_levels,); map_share : factor on the usual model error in maps
     """
 
     m: Array
-    log_force: Array
-    log_speed: Array
+    logs: Array
     thickness_ratio: float
     mesh_error: Array
     speed_error: Array
@@ -72,14 +71,13 @@ class MeshCorrection:
         Interpolated linearly in `bend` and nearly constant outside the known m; the transition is smooth,
         since fits use derivatives.
         """
-        tables = np.concatenate([self.log_force[:, :, None], self.log_speed], axis=2)
         known = bend(self.m)
         place = float(np.interp(bend(m), known, np.arange(len(known))))
         if len(known) > 1:
             place += _beyond(bend(m), known[0], known[1]) - _beyond(bend(m), known[-1], known[-2])
         low = int(np.clip(int(place), 0, max(len(self.m) - 2, 0)))
         high = min(low + 1, len(self.m) - 1)
-        return np.asarray(tables[low] + (place - low) * (tables[high] - tables[low]))
+        return np.asarray(self.logs[low] + (place - low) * (self.logs[high] - self.logs[low]))
 
 
 def _beyond(at: float, end: float, inner: float) -> float:
@@ -215,19 +213,17 @@ def corrected(
             known = np.array(sorted(changed))
             nearest = [float(known[np.abs(bend(known) - bend(m)).argmin()]) for m in found.m]
             changes = [change_of(checks.simulations.curves(m), changed[m]) for m in nearest]
-            force, speed = (position * np.array(each) for each in zip(*changes, strict=True))
-            found = replace(found, log_force=found.log_force + force, log_speed=found.log_speed + speed)
+            found = replace(found, logs=found.logs + position * np.array(changes))
     return found
 
 
 def _usual(checks: NumericalChecks, several: Sequence[float]) -> MeshCorrection:
     """Zero correction with the usual error."""
-    nothing = np.zeros_like(checks.simulations.curves(several[0]).log_speed)
+    n_depths, n_parts = checks.simulations.curves(several[0]).log_speed.shape
     usual = np.full(len(checks.depth), _USUAL_ERROR * (checks.size / _USUAL_EDGE) ** 2)
     return MeshCorrection(
-        m=np.array(several), log_force=np.array([nothing[:, 0]] * len(several)),
-        log_speed=np.array([nothing] * len(several)), thickness_ratio=1.0, mesh_error=usual,
-        speed_error=np.zeros(len(checks.depth)), map_share=_UNCORRECTED,
+        m=np.array(several), logs=np.zeros((len(several), n_depths, 1 + n_parts)), thickness_ratio=1.0,
+        mesh_error=usual, speed_error=np.zeros(len(checks.depth)), map_share=_UNCORRECTED,
     )  # fmt: skip
 
 
@@ -257,34 +253,29 @@ def _by_own_mesh(checks: NumericalChecks, several: Sequence[float]) -> MeshCorre
         checks.notes.warnings.append(f"the working mesh is not corrected to the site's own{why}")
         return None
     own, working = found[several[0]], simulations.curves(several[0])
-    rows = np.searchsorted(
-        working.depth, own.depth - 1e-6
-    ).tolist()  # depths of the own mesh among the others
-    beyond, tables = working.depth[rows[-1] + 1 :].tolist(), {}
+    rows = np.searchsorted(working.depth, own.depth - 1e-6).tolist()  # where the own mesh was solved
+    beyond, changes = working.depth[rows[-1] + 1 :].tolist(), {}
     for m in sorted(found):
         there = simulations.curves(m)
-        tables[m] = change_of(there, continued(filled(found[m], there, rows), beyond, like=there))
-    log_force, log_speed = (np.array(each) for each in zip(*tables.values(), strict=True))
+        changes[m] = change_of(there, continued(filled(found[m], there, rows), beyond, like=there))
     checks.notes.data["working_mesh_force_ratio"] = own.force[1:] / working.force[rows[1:]]
-    force, speed = tables[several[0]]
-    off, in_mean = (
-        left_error(h, checks.size) * np.abs(np.interp(checks.depth, working.depth, each))
-        for each in (force, speed[:, 0])
+    in_force, in_mean = (
+        left_error(h, checks.size) * np.abs(np.interp(checks.depth, working.depth, column))
+        for column in changes[several[0]][:, :2].T
     )
     ratio = own.thickness / working.thickness  # NaN or infinite where either is unknown
     return MeshCorrection(
-        m=np.array(sorted(found)), log_force=log_force, log_speed=log_speed,
+        m=np.array(list(changes)), logs=np.array(list(changes.values())),
         thickness_ratio=ratio if np.isfinite(ratio) else 1.0,
-        mesh_error=np.maximum(off, _LEAST_ERROR), speed_error=in_mean,
+        mesh_error=np.maximum(in_force, _LEAST_ERROR), speed_error=in_mean,
     )  # fmt: skip
 
 
-def change_of(before: Curves, after: Curves) -> tuple[Array, Array]:
-    """Change of ln force (n,), 0 at depth 0, and of ln speeds (n, n_parts), between curves of the same
-    depths."""
+def change_of(before: Curves, after: Curves) -> Array:
+    """Change (n, 1 + n_parts) of ln force, 0 at depth 0, and ln speeds, between curves of the same depths."""
     change = np.zeros(len(before.depth))
     change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
-    return change, gaps_filled(after.log_speed - before.log_speed)
+    return np.column_stack([change, gaps_filled(after.log_speed - before.log_speed)])
 
 
 def left_error(h: float, size: float) -> float:

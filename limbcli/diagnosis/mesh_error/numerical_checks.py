@@ -231,15 +231,14 @@ class NumericalChecks:
         return [judged]
 
     def _judged(self, name: str, before: Curves, after: Curves, note: str) -> Intervention:
-        change, speed = change_of(before, after)
-        change[0] = change[1]
-        at_levels = np.interp(self.depth, before.depth, change)
-        speeds = at_depths(self.depth, before, speed)
+        change = change_of(before, after)
+        change[0, 0] = change[1, 0]
+        moved = at_depths(self.depth, before, change)
         noise = self.site.noise
         slope = SmoothDepth.through(readings(self.levels)).slope(self.levels.force)
         deviation = np.hypot(noise.force, slope * noise.depth)
-        size = float(np.max(np.abs(at_levels * self.levels.force) / deviation))
-        return Intervention(name, at_levels, speeds, size, note)
+        size = float(np.max(np.abs(moved[:, 0] * self.levels.force) / deviation))
+        return Intervention(name, moved[:, 0], moved[:, 1:], size, note)
 
     # ------------------------------------------------------------ errors of the models
 
