@@ -9,10 +9,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from limbcli.case import Site
-from limbcli.errors import LimbError, SolveError
+from limbcli.errors import SolveError
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.model import Array, ElementMap, Value
-from limbcli.results import StageWriter, read_result
+from limbcli.results import StageWriter, data_if_there
 
 _MATTERS = 0.05  # relative change of force or speed above which a warning is given
 _LEAST_IN_SKIN = 1e-6
@@ -20,10 +20,8 @@ _LEAST_IN_SKIN = 1e-6
 
 def stated_deviation(out: Path, site: Site) -> float | None:
     """Standard deviation of the site's fibre direction (deg), from the result of `mesh`; None if unknown."""
-    try:
-        value = read_result(out, "mesh", site=site.name).data["fibres"]["deviation_deg"]
-    except (LimbError, KeyError, TypeError):
-        return None
+    fibres = data_if_there(out, "mesh", site=site.name).get("fibres") or {}
+    value = fibres.get("deviation_deg")
     return None if value is None else float(value)
 
 
