@@ -172,7 +172,7 @@ class Case:
         item = next(each for each in items() if each.name == name)
         curves, reading, protocol = reduced.truth(self.ingredients, self.reading, **self._true(ACROSS))
         y = item.see(curves, reading, protocol)
-        deviation = item.deviation(protocol, len(y))
+        deviation = item.deviations(protocol, len(y))
         y = y + deviation * self.rng.standard_normal(len(y))
         error = None if item.model_error is None else item.model_error(self.curves(self.levels))
         extra = ExtraMeasurement(name, item.see, y, deviation, error)

@@ -141,16 +141,14 @@ class Toy:
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
         """A thermometer that sees `toe` alone, and one that sees nothing."""
-        seen, none, jacobians = {}, {}, {}
+        toe, none = {}, {}
         for fit in fits:
-            seen[fit.explanation] = np.full(3, fit.values.get("toe", 0.0))
-            none[fit.explanation] = np.zeros(3)
-            jacobians[fit.explanation] = np.tile(
-                [float(n == "toe") for n in (*fit.base_names, *fit.effect_names)], (3, 1)
-            )
+            slope = np.tile([float(n == "toe") for n in (*fit.base_names, *fit.effect_names)], (3, 1))
+            toe[fit.explanation] = np.full(3, fit.values.get("toe", 0.0)), slope
+            none[fit.explanation] = np.zeros(3), 0.0 * slope
         return [
-            Proposal("look at the toe", "sees toe", seen, jacobians, np.eye(3)),
-            Proposal("look away", "sees nothing", none, {k: 0 * v for k, v in jacobians.items()}, np.eye(3)),
+            Proposal("look at the toe", "sees toe", toe, np.eye(3)),
+            Proposal("look away", "sees nothing", none, np.eye(3)),
         ]
 
 

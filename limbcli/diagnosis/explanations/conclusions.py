@@ -125,7 +125,7 @@ def ranked(
     """The proposals by decreasing information; several : explanations with a posterior."""
     found = []
     for each in proposals:
-        members = [one for one in several if one.explanation in each.predictions]
+        members = [one for one in several if one.explanation in each.seen]
         if len(members) > 1:
             found.append(_expected(members, each, rng))
     return tuple(sorted(found, key=lambda step: -step.information_bits))
@@ -139,9 +139,9 @@ def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.G
     means, roots = [], []
     for each in several:
         assert each.posterior is not None
-        J = proposal.jacobians[each.explanation]
+        mean, J = proposal.seen[each.explanation]
         covariance = proposal.covariance + J @ each.posterior.covariance @ J.T
-        means.append(proposal.predictions[each.explanation] + J @ each.posterior.step)
+        means.append(mean + J @ each.posterior.step)
         roots.append(
             np.linalg.cholesky(
                 covariance + 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))

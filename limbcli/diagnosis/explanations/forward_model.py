@@ -197,13 +197,13 @@ class Facts:
 class Proposal:
     """A possible further measurement, and what each explanation predicts for it.
 
-    predictions : by explanation (m,); jacobians : (m, same columns as that Fitted's); covariance (m, m)
+    seen : by explanation, prediction (m,) and its Jacobian (m, same columns as that Fitted's)
+    covariance : (m, m)
     """
 
     name: str
     sentence: str
-    predictions: Mapping[Explanation, Array]
-    jacobians: Mapping[Explanation, Array]
+    seen: Mapping[Explanation, tuple[Array, Array]]
     covariance: Array
 
 

@@ -186,7 +186,16 @@ def posterior(
         total = fixed.copy()
         for name, share in shares.items():
             total += share**2 * scaled[name]
-        return _at(fitted, y, Whitener.of(total), shares, relative=relative)
+        whiten = Whitener.of(total)
+        r, J = whiten(y - fitted.prediction), whiten(fitted.jacobian)
+        ln_root = float(np.log(np.diag(whiten.factor)).sum())
+
+        def at_level(ln_level: float) -> Posterior:
+            level = math.exp(ln_level)
+            return gaussian(fitted, r / level, J / level, ln_root + len(r) * ln_level, shares, level)
+
+        as_stated, most = at_level(0.0), math.log(_MOST_LEVEL)
+        return _largest(at_level, as_stated, -most, most) if relative else as_stated
 
     best = at(dict.fromkeys(known, 1.0))
     for name, each in known.items():
@@ -195,26 +204,23 @@ def posterior(
         def along(ln_share: float, name: str = name, others: dict[str, float] = others) -> Posterior:
             return at({**others, name: math.exp(ln_share)})
 
-        best = _largest(along, best, 0.0, math.log(each.least), math.log(each.most))
+        best = _largest(along, best, math.log(each.least), math.log(each.most))
     return best
 
 
-def _largest(
-    along: Callable[[float], Posterior], first: Posterior, start: float, low: float, high: float
-) -> Posterior:
-    """The posterior with the largest evidence between two values of one unknown, from the known one at
-    `start`.
+def _largest(along: Callable[[float], Posterior], first: Posterior, low: float, high: float) -> Posterior:
+    """The posterior with the largest evidence between two values of one unknown, from the known one at 0.
 
     Steps up or down while the evidence rises, then the summit of the parabola through the best three.
     """
-    found = {start: first}
+    found = {0.0: first}
 
     def value(x: float) -> float:
         if x not in found:
             found[x] = along(x)
         return found[x].ln_evidence
 
-    at, step = start, _STEP
+    at, step = 0.0, _STEP
     for _ in range(_MOST_STEPS):
         sides = [min(max(x, low), high) for x in (at - step, at + step)]
         best = max((at, *sides), key=value)
@@ -229,23 +235,8 @@ def _largest(
     return max(found.values(), key=lambda each: each.ln_evidence)
 
 
-def _at(
-    fitted: Fitted, y: Array, whiten: Whitener, shares: Mapping[str, float], *, relative: bool
-) -> Posterior:
-    r, J = whiten(y - fitted.prediction), whiten(fitted.jacobian)
-    ln_root = float(np.log(np.diag(whiten.factor)).sum())
-    if not relative:
-        return gaussian(fitted, r, J, ln_root, shares)
-
-    def along(ln_level: float) -> Posterior:
-        level = math.exp(ln_level)
-        return gaussian(fitted, r / level, J / level, ln_root + len(r) * ln_level, shares, level)
-
-    return _largest(along, along(0.0), 0.0, -math.log(_MOST_LEVEL), math.log(_MOST_LEVEL))
-
-
 def gaussian(
-    fitted: Fitted, r: Array, J: Array, ln_root: float, shares: Mapping[str, float], level: float = 1.0
+    fitted: Fitted, r: Array, J: Array, ln_root: float, shares: Mapping[str, float], level: float
 ) -> Posterior:
     """The posterior from the whitened residual r (n,) and sensitivities J (n, p); ln_root : half ln det
     Sigma."""
