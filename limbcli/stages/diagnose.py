@@ -221,13 +221,7 @@ class _Diagnosed:
                 note_earlier(self.out, each.site, writer)
             writer.warnings.extend(mine.notes.warnings)
             if mine.simulations.in_part:
-                parts = "; ".join(
-                    f"{name}: {depth:.1f} mm" for name, depth in mine.simulations.in_part.items()
-                )
-                writer.warnings.append(
-                    "not solved to the depth of the readings; their curves were extrapolated along those of "
-                    f"others: {parts}"
-                )
+                writer.warnings.append(_in_part(mine.simulations.in_part))
             for name, why in mine.curves.changes.not_simulated.items():
                 writer.warnings.append(f"{name} was evaluated at the deformation without it: {why}")
             if forward_model.not_simulated:
@@ -285,6 +279,14 @@ def _content(
 def _not_simulated(several: Iterable[Explanation]) -> str:
     names = ", ".join(sorted(" + ".join(each) for each in several))
     return f"the simulations used up the diagnosis's work budget; fitted by sensitivities only: {names}"
+
+
+def _in_part(reached: Mapping[str, float]) -> str:
+    parts = "; ".join(f"{name}: {depth:.1f} mm" for name, depth in reached.items())
+    return (
+        f"not solved to the depth of the readings; their curves were extrapolated along those of others: "
+        f"{parts}"
+    )
 
 
 def _locked(found: Intervention) -> str:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -75,6 +76,7 @@ class Predictions:
     """Of sites that share the tissue and the candidate effects, with the priors of what is fitted.
 
     data : of all sites; whiten : of their noise, as fits weight it
+    slots : of an explanation, its parameters in order; priors : of ln c, ln m and these parameters
     """
 
     def __init__(self, sites: Sequence[SiteCurves]):
@@ -83,8 +85,7 @@ class Predictions:
         self.effects: dict[str, Effect] = {
             name: each.measured_by(channels) for name, each in sites[0].effects.items()
         }
-        self._slots: dict[Explanation, tuple[Slot, ...]] = {}  # kept: every prediction asks for them
-        self._priors: dict[Explanation, tuple[Prior, ...]] = {}
+        self.slots, self.priors = cache(self._slots_of), cache(self._priors_of)  # for every prediction
         self._join()
 
     def allow_for(self, shares: Mapping[str, float]) -> None:
@@ -108,12 +109,7 @@ class Predictions:
     def site(self) -> SiteData:
         return self.sites[0].site
 
-    def slots(self, explanation: Explanation) -> tuple[Slot, ...]:
-        if explanation not in self._slots:
-            self._slots[explanation] = tuple(self._slots_of(explanation))
-        return self._slots[explanation]
-
-    def _slots_of(self, explanation: Explanation) -> list[Slot]:
+    def _slots_of(self, explanation: Explanation) -> tuple[Slot, ...]:
         found = []
         for name in explanation:
             effect = self.effects[name]
@@ -122,7 +118,7 @@ class Predictions:
                     found += [Slot(f"{p.name}@{s.site.name}", p, k, True) for k, s in enumerate(self.sites)]
                 else:
                     found.append(Slot(p.name, p, each_time=effect.each_time))
-        return found
+        return tuple(found)
 
     def sizes(self, name: str) -> list[Slot]:
         return [slot for slot in self.slots((name,)) if not slot.parameter.shape]
@@ -199,16 +195,13 @@ class Predictions:
         (lower, low), (upper, high) = sorted(known, key=lambda each: each[0])
         return np.asarray((high - low) / (upper - lower))
 
-    def priors(self, explanation: Explanation) -> tuple[Prior, ...]:
-        """Priors of ln c, ln m, and the effects' parameters."""
-        if explanation not in self._priors:
-            low, high = self.bounds(())
-            self._priors[explanation] = (
-                Prior.uniform(float(low[0]), float(high[0])),
-                Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, float(low[1]), float(high[1])),
-                *(slot.prior for slot in self.slots(explanation)),
-            )
-        return self._priors[explanation]
+    def _priors_of(self, explanation: Explanation) -> tuple[Prior, ...]:
+        (c_low, m_low), (c_high, m_high) = (each.tolist() for each in self.bounds(()))
+        return (
+            Prior.uniform(c_low, c_high),
+            Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, m_low, m_high),
+            *(slot.prior for slot in self.slots(explanation)),
+        )
 
     def check_channels(self, explanation: Explanation) -> None:
         """
