@@ -42,6 +42,7 @@ if TYPE_CHECKING:
 
 _READING = 3  # version of the evaluation of speeds; increment on changes, as cached curves contain speeds
 _READING_OF_FIELDS = 2  # the same for curves with an effect that is a factor on stiffnesses
+_STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the usual tolerance
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -104,9 +105,6 @@ def fingerprint(
     contents += [density_kg_per_m3]
     digest.update(json.dumps(contents if lines is None else [*contents, plain(lines)]).encode())
     return digest.hexdigest()[:16]
-
-
-_STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the usual tolerance
 
 
 @dataclass(frozen=True, eq=False)

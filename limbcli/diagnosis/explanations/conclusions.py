@@ -26,6 +26,8 @@ from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 
 _Z = float(ndtri(decisions.POWER))
+_DRAWS = 300  # of measurements, for each explanation
+Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,9 +102,6 @@ def _detectable(information: float, prior: float, ln_factor: float) -> float:
     return math.sqrt(max(needed, 0.0)) + _Z / math.sqrt(information)
 
 
-_DRAWS = 300  # of measurements, for each explanation
-
-
 @dataclass(frozen=True, kw_only=True)
 class NextStep:
     """One proposal.
@@ -167,9 +166,6 @@ def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.G
 def _ln_density(drawn: Array, mean: Array, root: Array) -> Array:
     off = solve_triangular(root, (drawn - mean).T, lower=True)
     return np.asarray(-0.5 * np.sum(off**2, axis=0) - np.log(np.diag(root)).sum())
-
-
-Word = Literal["adequate", "named", "ambiguous", "unexplained", "untestable"]
 
 
 @dataclass(frozen=True, eq=False)

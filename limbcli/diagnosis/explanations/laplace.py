@@ -25,6 +25,9 @@ from limbcli.numbers.whitening import Whitener
 
 _FAR = 8.0  # standard deviations beyond which a limit does not matter
 _GRID = 2001  # points of a numerical quantile
+_STEP, _MOST_STEPS = 0.3, 12  # of ln of a share or level, in the search for the most probable one
+_KINK = 1.0  # gain in ln likelihood by a further linear step, from which the fit is taken as it stands
+_MOST_LEVEL = 10.0  # largest factor on stated noise of unknown level, and reciprocal of the least
 
 
 def ln_probability(mean: Array, covariance: Array, low: Array, high: Array) -> Array:
@@ -130,11 +133,6 @@ def _distribution(several: Sequence[Truncated]) -> tuple[Array, Array]:
             share = (ndtr(inside) - ndtr(a)) / max(ndtr(b) - ndtr(a), 1e-300)
         total += each.weight * share
     return x, total / max(total[-1], 1e-300)
-
-
-_STEP, _MOST_STEPS = 0.3, 12  # of ln of a share or level, in the search for the most probable one
-_KINK = 1.0  # gain in ln likelihood by a further linear step, from which the fit is taken as it stands
-_MOST_LEVEL = 10.0  # largest factor on stated noise of unknown level, and reciprocal of the least
 
 
 @dataclass(frozen=True, eq=False)

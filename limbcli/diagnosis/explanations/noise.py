@@ -27,6 +27,10 @@ from limbcli.model import Array, IntArray
 from limbcli.numbers.whitening import Whitener
 
 _RANK = 1e-8
+ASSUMED = "assumed"
+OF_MODEL = "model: "  # beginning of the name of a part that is an error of the model
+TAILS = 7.0
+EXCESS = 6.0 / (TAILS - 4.0)  # excess kurtosis over the normal distribution
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,12 +82,6 @@ class LinearFit:
     @property
     def chi2(self) -> float:
         return float(self.left @ self.left)
-
-
-ASSUMED = "assumed"
-OF_MODEL = "model: "  # beginning of the name of a part that is an error of the model
-TAILS = 7.0
-EXCESS = 6.0 / (TAILS - 4.0)  # excess kurtosis over the normal distribution
 
 
 def unit_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:

@@ -37,6 +37,10 @@ _BATCH = 1000  # draws at a time
 # factor of 2 to 3 about its middle from site to site (`tests/benchmarks/map_errors.py`), and as much between
 # parts of one.
 _KNOWN_IN_IMAGE = 4.0
+# Degree of the smooth curves; least degrees of freedom of their scatter; ratio of a prediction's standard
+# deviation to that of its reading, above which a held-out block is skipped.
+_DEGREE, _LEAST_NU, _TOO_WIDE = 4, 5, 1.0
+_FEWEST = 2  # readings before and after a jump
 
 
 @dataclass(frozen=True)
@@ -127,11 +131,6 @@ def _scaled(values: Array, mask: Mask) -> Array:
     """Values scaled to -1 to 1 within the part."""
     low, high = values[mask].min(), values[mask].max()
     return np.asarray(2 * (values - low) / max(high - low, 1e-9) - 1)
-
-
-# Degree of the smooth curves; least degrees of freedom of their scatter; ratio of a prediction's standard
-# deviation to that of its reading, above which a held-out block is skipped.
-_DEGREE, _LEAST_NU, _TOO_WIDE = 4, 5, 1.0
 
 
 @dataclass(frozen=True)
@@ -233,9 +232,6 @@ def determined_by_the_rest(blocks: Mapping[str, Mask], J: Array) -> dict[str, Ma
         if len(s) == J.shape[1] and (not len(s) or s[-1] > 1e-6 * s[0]):
             usable[name] = mask
     return usable
-
-
-_FEWEST = 2  # readings before and after a jump
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,13 @@ from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
+# Error of an effect's own form, as no model of fat, fibres or a scar matches the limb exactly: a standard
+# deviation that is a fraction of the change by the effect, correlated between neighbouring levels and, in
+# images, over some millimetres, as edges are displaced. All sizes are assumed.
+_SHARE, _ALIKE = 0.05, 0.8  # of the change of forces and mean speeds; correlation between neighbouring levels
+_IN_IMAGE, _WIDE_MM, _ALIKE_IN_IMAGE = 0.15, 4.0, 0.97  # the same in an image, and its correlation length
+_MOST_STEPS = 60  # fits and simulations of one search: far more than any needs
+
 
 @dataclass(frozen=True, eq=False)
 class Explained:
@@ -115,14 +122,6 @@ def named(several: Sequence[Explained]) -> Explanation:
         if each.explanation and likely and containing(each.explanation, several) >= decisions.CREDIBLE:
             return each.explanation
     return ()
-
-
-# Error of an effect's own form, as no model of fat, fibres or a scar matches the limb exactly: a standard
-# deviation that is a fraction of the change by the effect, correlated between neighbouring levels and, in
-# images, over some millimetres, as edges are displaced. All sizes are assumed.
-_SHARE, _ALIKE = 0.05, 0.8  # of the change of forces and mean speeds; correlation between neighbouring levels
-_IN_IMAGE, _WIDE_MM, _ALIKE_IN_IMAGE = 0.15, 4.0, 0.97  # the same in an image, and its correlation length
-_MOST_STEPS = 60  # fits and simulations of one search: far more than any needs
 
 
 @dataclass(eq=False)

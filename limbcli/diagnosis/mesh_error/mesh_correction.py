@@ -47,6 +47,21 @@ F_KAPPA, START_M = 100.0, 2.0  # ratio of bulk modulus to c; exponent m of the s
 _TIMES_USUAL, _LEAST_WORK = 5.0, 1000.0
 _FOLLOWED = 0.2  # range of extrapolation beyond the last m, as a fraction of the distance to the next m
 _ENOUGH = 0.6  # fraction of the depth needed that the own mesh must reach
+# The error of quadratic elements is proportional to the square of their edge length: the finer of two meshes
+# has a remaining error of h^2 / (H^2 - h^2) times their difference. This is increased by half, since neither
+# mesh is well within the asymptotic range.
+_SAFETY = 1.5
+# Smallest mesh error of ln force; usual one of an uncorrected mesh with edges of _USUAL_EDGE mm.
+_LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
+_HELD = 0.5  # position of the limb between a free (0) and a held (1) far side, of which nothing is known
+_UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is not corrected
+# Remaining gap of the harder contact, as a fraction of the depth shift between a penalty and a quarter of it,
+# and the standard deviation of this fraction. It is a third if the gap is proportional to 1/eps. Each further
+# increase of the penalty by four shifted the depth by 0.33 to 0.43 of the previous shift, which extrapolates
+# to 0.5 to 0.7.
+_LEFT, LEFT_ERROR = 0.5, 0.15
+_POWER = 0.8  # exponent of the gap in 1/eps: a quarter of the penalty triples the gap
+_LEAST_STEP = 0.05  # smallest step between two depths after the shift, as a fraction of that before
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -167,16 +182,6 @@ def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
     return str(built.data.get("element")), Curves(*curve, np.zeros((len(rising) + 1, 0)), np.zeros(0))
 
 
-# The error of quadratic elements is proportional to the square of their edge length: the finer of two meshes
-# has a remaining error of h^2 / (H^2 - h^2) times their difference. This is increased by half, since neither
-# mesh is well within the asymptotic range.
-_SAFETY = 1.5
-# Smallest mesh error of ln force; usual one of an uncorrected mesh with edges of _USUAL_EDGE mm.
-_LEAST_ERROR, _USUAL_ERROR, _USUAL_EDGE = 0.01, 0.03, 2.5
-_HELD = 0.5  # position of the limb between a free (0) and a held (1) far side, of which nothing is known
-_UNCORRECTED = 1.2  # factor on the model error in maps if the working mesh is not corrected
-
-
 def mesh_correction(checks: NumericalChecks, *, solves: bool) -> MeshCorrection:
     """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`: by
     simulations, otherwise none, with a usual error.
@@ -281,15 +286,6 @@ def change_of(before: Curves, after: Curves) -> Array:
 def left_error(h: float, size: float) -> float:
     """Remaining error of a mesh with edges of h mm, as a fraction of its difference from one with `size`."""
     return _SAFETY * h**2 / max(size**2 - h**2, h**2)
-
-
-# Remaining gap of the harder contact, as a fraction of the depth shift between a penalty and a quarter of it,
-# and the standard deviation of this fraction. It is a third if the gap is proportional to 1/eps. Each further
-# increase of the penalty by four shifted the depth by 0.33 to 0.43 of the previous shift, which extrapolates
-# to 0.5 to 0.7.
-_LEFT, LEFT_ERROR = 0.5, 0.15
-_POWER = 0.8  # exponent of the gap in 1/eps: a quarter of the penalty triples the gap
-_LEAST_STEP = 0.05  # smallest step between two depths after the shift, as a fraction of that before
 
 
 @dataclass(frozen=True, eq=False)
