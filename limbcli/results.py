@@ -299,6 +299,14 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
     return found
 
 
+def data_if_there(out: Path, stage: str, *, site: str | None = None) -> Mapping[str, Any]:
+    """Data of a stage's result; empty if there is none that can be read."""
+    try:
+        return read_result(out, stage, site=site).data
+    except CaseError:
+        return {}
+
+
 @contextlib.contextmanager
 def record_of(path: Path, stage: str, command: str, *, site: str | None = None) -> Iterator[dict[str, Any]]:
     """The content of a result's JSON; what is found wrong with it within the block is a CaseError, too.

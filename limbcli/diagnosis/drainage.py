@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +21,7 @@ from limbcli.diagnosis.curves.curve_plan import USUAL_M
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.held_forces import HeldForces
 from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.mesh_error.numerical_checks import Notes
 from limbcli.effects import poroelasticity
 from limbcli.effects.drainage import SPREADS, Drainage, HeldIndentation
 from limbcli.effects.effect import Effect
@@ -30,12 +31,7 @@ from limbcli.files.temporary_folders import scratch_folder
 from limbcli.model import Curve, LimbModel
 from limbcli.model.npz_file import model_hash
 from limbcli.progress import Progress
-from limbcli.site_model.indentation_model import (
-    TRAVEL,
-    indentation_model,
-    starting_depth,
-    with_penalty,
-)
+from limbcli.site_model.indentation_model import TRAVEL, indentation_model, starting_depth, with_penalty
 from limbcli.solvers import choose
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.solve_folder import SolveFolder
@@ -80,51 +76,39 @@ class DrainageSolver:
         return DrainageSolver(solver, named) if isinstance(solver, FebioSolver) else None
 
 
-@dataclass(frozen=True)
-class Drained:
-    """Result of the drainage simulations.
-
-    effect : poroelasticity with the site's drainage; None: not available, for the reason `refused`
-    facts : on the simulations, for the results
-    """
-
-    effect: Effect | None = None
-    refused: LimbError | None = None
-    facts: dict[str, Any] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
-
-
 def drained(
-    solver: DrainageSolver, held: HeldForces | None, why_not_held: str, simulations: SiteSimulations,
-    *, deepest: float, keep: Path, progress: Progress,
-) -> Drained:  # fmt: skip
-    """Drainage at a site, from simulations of the working mesh at fractions of the depth `deepest` (mm).
+    solver: DrainageSolver, held: HeldForces | None, simulations: SiteSimulations, *, deepest: float,
+    keep: Path, notes: Notes, progress: Progress,
+) -> Effect:  # fmt: skip
+    """Poroelasticity with a site's drainage, from simulations of the working mesh at fractions of the depth
+    `deepest` (mm).
 
-    keep : cache folder of the simulations
+    keep : cache folder of the simulations; notes : get the facts on these
+
+    Raises
+    ------
+    LimbError
+        If there are no holds in which the force falls, or too few simulations succeed.
     """
     if held is None:
-        why = f"it requires data that were not measured: hold{f' ({why_not_held})' if why_not_held else ''}"
-        return Drained(refused=_refused(why, fix="record force and depth in holds (trace)"))
-    if not solver.always:
-        try:
-            fallen = held.fallen(simulations.curves(USUAL_M))
-        except LimbError as error:
-            return Drained(refused=error)
-        if fallen < decisions.FALLEN_SD:
-            why = f"no force decrease in the holds ({fallen:.1f} deviations over all of them)"
-            return Drained(refused=_refused(why, fix="--solver febio evaluates it anyway"))
-    depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
+        why = notes.data.get("holds_not_used")
+        lacking = f"it requires data that were not measured: hold{f' ({why})' if why else ''}"
+        raise _refused(lacking, fix="record force and depth in holds (trace)")
+    if not solver.always and (fallen := held.fallen(simulations.curves(USUAL_M))) < decisions.FALLEN_SD:
+        steady = f"no force decrease in the holds ({fallen:.1f} deviations over all of them)"
+        raise _refused(steady, fix="--solver febio evaluates it anyway")
     runs = _Runs(solver.solver, simulations, SolveFolder(keep), progress)
-    facts: dict[str, Any] = {}
-    try:
-        found = runs.all(depths)
-        reports = [each.facts() for each in found]
-        facts = {"solver": solver.solver.name, "solver_version": runs.version, "runs": reports}
-        drainage = Drainage.through(_enough(found))
-    except LimbError as error:
-        return Drained(refused=error, facts=facts)
-    lacking = tuple(_not_run(each) for each in found if each.hold is None)
-    return Drained(poroelasticity.with_drainage(drainage), None, facts, lacking)
+    found = runs.all([round(share * deepest, 2) for share in SHARES_OF_DEPTH])
+    reports = [each.facts() for each in found]
+    notes.data["drainage"] = {
+        "solver": solver.solver.name, "solver_version": runs.version, "runs": reports,
+    }  # fmt: skip
+    drainage = Drainage.through(_enough(found))
+    notes.warnings.extend(
+        f"{NAME} was evaluated without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
+        for each in found if each.hold is None
+    )  # fmt: skip
+    return poroelasticity.with_drainage(drainage)
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,14 +184,8 @@ class _Runs:
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
-    """The completed holds, if there are at least two: drainage at one depth does not determine that at
-    others.
-
-    Raises
-    ------
-    SolveError
-        If there are fewer.
-    """
+    """The completed holds; SolveError if there are fewer than two: drainage at one depth does not determine
+    that at others."""
     holds = [each.hold for each in found if each.hold is not None]
     if len(holds) >= _LEAST_DEPTHS:
         return holds
@@ -221,10 +199,6 @@ def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
 
 def _first_line(text: str) -> str:
     return text.splitlines()[0].rstrip(":") if text else ""
-
-
-def _not_run(each: _Run) -> str:
-    return f"{NAME} was evaluated without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
 
 
 def _refused(why: str, *, fix: str) -> FitError:

@@ -18,17 +18,13 @@ from limbcli.case.noting import with_values
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, nearest_m, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.held_forces import held_forces
-from limbcli.diagnosis.data.layer_rows import BorderLines
-from limbcli.diagnosis.data.noise_parts import KnownErrors, deepest, readings
-from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings
+from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings, deepest, readings
 from limbcli.diagnosis.data.site_data import SiteData, site_data
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.drainage import NAME as POROELASTICITY
-from limbcli.diagnosis.drainage import DrainageSolver, Drained, drained
+from limbcli.diagnosis.drainage import DrainageSolver, drained
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
-from limbcli.diagnosis.mesh_error.mesh_comparison import mesh_correction
-from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, own_layers
-from limbcli.diagnosis.mesh_error.model_errors import ModelErrors
+from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection, mesh_correction, own_layers
 from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, Notes, NumericalChecks
 from limbcli.effects.effect import Effect
 from limbcli.errors import CaseError, LimbError, MeasurementError
@@ -42,13 +38,14 @@ from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model, save_model
 from limbcli.progress import Progress
-from limbcli.results import plain, read_result
+from limbcli.results import data_if_there, plain, read_result
 from limbcli.site_model.element_fibres import with_fibres
-from limbcli.site_model.layer_readings import layer_readings
+from limbcli.site_model.layer_readings import LayerReadings, layer_readings
 from limbcli.site_model.mesh_checks import check_within_tissue, measured_skin_bone
 from limbcli.site_model.segmented_limb import read_limb, site_position
 from limbcli.site_model.site_levels import levels_of, maps_of
 from limbcli.site_model.site_states import one_state
+from limbcli.solvers.material_lines import material_lines
 from limbcli.version import __version__
 
 STAGE = "diagnose"
@@ -112,7 +109,34 @@ def prepare(
     SolveError
         If the model without effects cannot be solved.
     """
-    return _Preparation(case, site, out, mesh, progress).run(effects, extras, draining)
+    made, refused = _Preparation(case, site, out, mesh, progress), dict[str, LimbError]()
+    simulations = made.simulations()
+    try:
+        where_solved(simulations.curves, FIRST_M)  # failures are reported where the curves are used
+        numerics = NumericalChecks(
+            case=case, site=site, levels=made.levels, simulations=simulations, out=out, size=made.size,
+            notes=made.notes, progress=progress,
+        )  # fmt: skip
+        correction = mesh_correction(numerics, solves=mesh.interventions)
+        interventions = numerics.interventions() if mesh.interventions else []
+        data = made.data(numerics, correction, interventions, extras)
+        if POROELASTICITY in effects and draining is not None:
+            try:
+                drains = drained(
+                    draining, data.seen.held, simulations, deepest=simulations.needed, keep=made.work,
+                    notes=made.notes, progress=progress,
+                )  # fmt: skip
+                effects = {**effects, POROELASTICITY: drains}
+            except LimbError as error:
+                refused[POROELASTICITY] = error
+    except LimbError:
+        simulations.close()
+        raise
+    curves = SiteCurves(
+        data, simulations, effects, correction=correction, penetration=numerics.penetration, refused=refused,
+        progress=progress,
+    )  # fmt: skip
+    return Prepared(site, made.size, simulations, curves, interventions, made.notes)
 
 
 def turned_by_90(
@@ -151,15 +175,6 @@ def size_for(skin_bone: float | None) -> float:
     return _COARSEST if skin_bone is None else float(np.clip(skin_bone / _LAYERS, _FINEST, _COARSEST))
 
 
-def _up_to(step: float, value: float) -> float:
-    """The smallest multiple of `step` above `value`.
-
-    >>> _up_to(0.5, 7.2), _up_to(0.5, 7.5)
-    (7.5, 8.0)
-    """
-    return step * float(np.floor(value / step) + 1.0)
-
-
 def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
     """Direction across the probe's long axis: along the limb if the probe was across it, and vice versa."""
     if isinstance(site.long_axis, str):
@@ -179,43 +194,10 @@ class _Preparation:
         self.skin_bone = self._skin_bone()
         check_within_tissue(float(np.max(self.levels.depth)), self.skin_bone, site)
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
-        self.borders: BorderLines | None = None  # in the working mesh, once it is made
+        self.layers: LayerReadings | None = None  # in the working mesh, once it is made
         self.notes = Notes()
         if site.states:
             self.notes.warnings.append(one_state(site))
-
-    def run(
-        self, effects: Mapping[str, Effect], extras: Sequence[ExtraMeasurement],
-        draining: DrainageSolver | None,
-    ) -> Prepared:  # fmt: skip
-        simulations = self.simulations()
-        try:
-            where_solved(simulations.curves, FIRST_M)  # failures are reported where the curves are used
-            numerics = NumericalChecks(
-                case=self.case, site=self.site, levels=self.levels, simulations=simulations, out=self.out,
-                size=self.size, notes=self.notes, progress=self.progress,
-            )  # fmt: skip
-            correction = mesh_correction(numerics, solves=self.mesh.interventions)
-            interventions = numerics.interventions() if self.mesh.interventions else []
-            data = self._data(numerics, correction, interventions, extras)
-            refused: dict[str, LimbError] = {}
-            if POROELASTICITY in effects and draining is not None:
-                found = self._drained(draining, data, simulations)
-                if found.effect is not None:
-                    effects = {**effects, POROELASTICITY: found.effect}
-                if found.refused is not None:
-                    refused[POROELASTICITY] = found.refused
-        except LimbError:
-            simulations.close()
-            raise
-        curves = SiteCurves(
-            data, simulations, effects, correction=correction, penetration=numerics.penetration,
-            refused=refused, progress=self.progress,
-        )  # fmt: skip
-        return Prepared(
-            site=self.site, size=self.size, simulations=simulations, curves=curves,
-            interventions=interventions, notes=self.notes,
-        )  # fmt: skip
 
     def simulations(self) -> SiteSimulations:
         """Simulations down to the deepest reading and beyond, as far as the solver converges.
@@ -223,17 +205,17 @@ class _Preparation:
         They use a fixed reference stiffness and rounded depths, so that other measurements of the same place
         can reuse them.
         """
-        needed = _up_to(_ROUND, _BEYOND * deepest(readings(self.levels)))
+        needed = _ROUND * float(np.floor(_BEYOND * deepest(readings(self.levels)) / _ROUND) + 1.0)
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
         further = _FURTHER if thick is None else min(_FURTHER, _FURTHER_SHARE * thick)
         meshed, fibres = with_fibres(self.case, self.site, self._working_mesh())
         self.notes.data["fibres"] = fibres.source
-        self.borders = self._borders_in(meshed)
+        self.layers = self._layers_in(meshed)
         return SiteSimulations(
             meshed, [*depths.tolist(), needed + further], c=USUAL_C, f_kappa=F_KAPPA,
             windows=self.windows, keep=self.work, density_kg_per_m3=self.site.density_kg_per_m3,
-            progress=self.progress, borders=self.borders,
+            progress=self.progress, layers=self.layers,
             reach=Reach(needed=needed, enough_force=self._enough_force()),
         )  # fmt: skip
 
@@ -248,25 +230,22 @@ class _Preparation:
         at_usual = _TIMES_FORCE * largest * USUAL_C / (2.0 * float(modulus[0]))
         return float(2.0 ** np.ceil(np.log2(at_usual)))
 
-    def _borders_in(self, meshed: LimbModel) -> BorderLines | None:
-        """The layers' borders in the working mesh; layers that do not fit are excluded with a warning."""
+    def _layers_in(self, meshed: LimbModel) -> LayerReadings | None:
+        """The layers whose borders lie in the working mesh; others are excluded with a warning."""
         layers = layer_readings(self.levels, self.site)
         if layers is None or not layers.n_counted:
             return None
-        borders = BorderLines(layers)
         try:
-            borders.check(meshed)
+            material_lines(meshed, layers.rest[: layers.n_counted])
         except MeasurementError as error:
             self.notes.warnings.append(f"the layers are not used: {error.what}")
             return None
-        return borders
+        return layers
 
     def _skin_bone(self) -> float | None:
         """Tissue thickness in mm under the probe's centre, from the site's own mesh, else as measured."""
-        try:
-            found = read_result(self.out, "mesh", site=self.site.name).data["checks"]["skin_bone_mm"]
-        except (LimbError, KeyError):
-            found = None
+        checks = data_if_there(self.out, "mesh", site=self.site.name).get("checks", {})
+        found = checks.get("skin_bone_mm")
         return float(found) if found is not None else measured_skin_bone(self.site)
 
     def _working_mesh(self) -> LimbModel:
@@ -305,10 +284,11 @@ class _Preparation:
             path.write_text(text, encoding="utf-8")
         return load_model(kept)  # reloaded, so that a resumed diagnosis uses an identical model
 
-    def _data(
+    def data(
         self, numerics: NumericalChecks, correction: MeshCorrection, interventions: Sequence[Intervention],
         extras: Sequence[ExtraMeasurement],
     ) -> SiteData:  # fmt: skip
+        """The data, with what is known of how far the models are off."""
         held = None
         if self.site.trace is not None:
             try:
@@ -317,32 +297,14 @@ class _Preparation:
                 why = error.what
             if held is None:
                 self.notes.data["holds_not_used"] = why
-        errors = ModelErrors(numerics)
         levels = self.levels
-        if np.isfinite(levels.skin_bone).any() and not errors.has_bone:
+        if np.isfinite(levels.skin_bone).any() and not numerics.has_bone:
             self.notes.warnings.append(
                 "skin_bone_mm is not used: in the model the beam reaches no bone under the probe's centre"
             )
             levels = replace(levels, skin_bone=np.full(len(levels), np.nan))
         seen = SiteReadings(
             levels, self.site.noise, windows=self.windows, maps=self.maps, held=held, extras=extras,
-            usable=errors.parts_seen(), layers=None if self.borders is None else self.borders.layers,
+            usable=numerics.parts_seen(), layers=self.layers,
         )  # fmt: skip
-        known = KnownErrors(
-            errors.all(correction, interventions),
-            correction.map_share,
-            errors.map_slopes(),
-            errors.thickness,
-            bool(self.case.imaging.assumed),
-        )
-        return site_data(self.site.name, seen, known)
-
-    def _drained(self, draining: DrainageSolver, data: SiteData, simulations: SiteSimulations) -> Drained:
-        found = drained(
-            draining, data.held, str(self.notes.data.get("holds_not_used", "")), simulations,
-            deepest=simulations.needed, keep=self.work, progress=self.progress,
-        )  # fmt: skip
-        self.notes.warnings.extend(found.warnings)
-        if found.facts:
-            self.notes.data["drainage"] = found.facts
-        return found
+        return site_data(self.site.name, seen, numerics.known_errors(correction, interventions))

@@ -6,19 +6,19 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
+from limbcli.diagnosis.explanations.conclusions import Diagnosis
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, contact_penalty, own_layers
+from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, own_layers
 from limbcli.diagnosis.prepare import Prepared
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.effect import applied
-from limbcli.effects.reading import Reading, true_depth
-from limbcli.feb.settings import least_level, schedule
+from limbcli.effects.reading import true_depth
+from limbcli.feb.settings import USUAL_PENALTY, least_level, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model import Array
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
-from limbcli.results import StageWriter, read_result
+from limbcli.results import StageWriter, data_if_there, read_result
 from limbcli.site_model.indentation_model import indentation_model, starting_depth, with_penalty
 
 _SOFT = 0.02  # relative reduction of the force by the written model's contact above which a warning is given
@@ -48,11 +48,14 @@ def write_diagnosed(
     fitted = found.final
     curves, reading = forward_model.predictions.curves_of(fitted, number)
     depth = true_depth(curves, mine.curves.site.protocol.depth, reading)
-    depths = [float(d) for d in probe_depths(curves, depth, reading) if d > 2 * least_level()]
+    # the probe travels further than the tissue is indented, by the support's compliance
+    travel = np.unique(np.round(depth + reading.compliance * force_at(curves, depth), 3))
+    depths = [float(each) for each in travel if each > 2 * least_level()]
     meshed = load_model(path)
     plan = schedule(depths, start=starting_depth(meshed, depths[0]))
     c = mpa_from_kpa(fitted.values["c_kpa"])
-    penalty = contact_penalty(mine.site, out)
+    built = data_if_there(out, "build-feb", site=mine.site.name).get("contact_penalty")
+    penalty = float(built) if isinstance(built, int | float) else USUAL_PENALTY
     model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
     model = with_penalty(model, penalty)
     theta = forward_model.predictions.theta(fitted.values, fitted.explanation, number)
@@ -70,12 +73,6 @@ def write_diagnosed(
         mine, curves, curves.force * mine.simulations.c / c, float(depth.max()), penalty, out=out
     )
     writer.warnings.extend([warning] if warning else [])
-
-
-def probe_depths(curves: Curves, depth: Array, reading: Reading) -> Array:
-    """Increasing probe travel (n,) in mm for depths in the tissue (mm), larger by the support's
-    compliance."""
-    return np.unique(np.round(depth + reading.compliance * force_at(curves, depth), 3))
 
 
 def _contact_takes(

@@ -11,16 +11,14 @@ from typing import Any
 import numpy as np
 from matplotlib.figure import Figure
 
-from limbcli.diagnosis.data.joint_measurements import slices
 from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY
-from limbcli.diagnosis.data.site_data import SiteData
+from limbcli.diagnosis.data.site_data import SiteData, slices
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.conclusions.estimates import PRIOR, TISSUE
-from limbcli.diagnosis.explanations.conclusions.sentences import recommended
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink
-from limbcli.diagnosis.explanations.model.noise_covariance import CommonError
-from limbcli.diagnosis.explanations.predictive_check import Check
-from limbcli.diagnosis.explanations.probabilities import Explained
+from limbcli.diagnosis.explanations.conclusions import Diagnosis, Shrink
+from limbcli.diagnosis.explanations.estimates import PRIOR, TISSUE
+from limbcli.diagnosis.explanations.noise import CommonError
+from limbcli.diagnosis.explanations.search import Explained
+from limbcli.diagnosis.explanations.sentences import recommended
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.mesh_error.numerical_checks import f_kappa_at
@@ -51,8 +49,8 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         "channels_missing": list(site.missing),
         "probability_of_nothing": found.nothing,
         "adequate_from_probability": found.adequate_from,
-        "where": _parts(found.check),
-        "left": _parts(found.left),
+        "where": [vars(each) for each in found.check.parts] if found.check else [],
+        "left": [vars(each) for each in found.left.parts] if found.left else [],
         "candidates": _candidates(found),
         "explanations": [_explained(each, found) for each in found.explanations[:_MOST_EXPLANATIONS]],
         "confidence_set": [list(each) for each in found.confidence_set],
@@ -75,10 +73,6 @@ def diagnosis_json(found: Diagnosis, site: SiteData, forward_model: SiteForwardM
         "not_evaluated": dict(found.not_evaluated),
         "seed": found.seed,
     }
-
-
-def _parts(check: Check | None) -> list[dict[str, Any]]:
-    return [] if check is None else [vars(each) for each in check.parts]
 
 
 def _candidates(found: Diagnosis) -> list[dict[str, Any]]:
@@ -186,7 +180,7 @@ _SHOWN = {"force": "force", "swe": "mean wave speed", "map": "wave-speed map", "
 
 def gap_picture(found: Diagnosis, sites: Sequence[SiteData], path: Path) -> None:
     """Residuals in standard deviations without and with the effects: one panel per channel and site."""
-    channels = [c for c in _SHOWN if any(row.channel == c for site in sites for row in site.rows)]
+    channels = [c for c in _SHOWN if any(c in site.rows.channels() for site in sites)]
     columns = min(len(channels), _GAP_COLUMNS)
     rows = -(-len(channels) // columns)
     figure = Figure(figsize=(2.9 * columns, 2.7 * rows * len(sites) + 0.4), layout="constrained")
@@ -211,10 +205,8 @@ def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str)
     last = found.shrink[-1].explanation
     if last and last in found.fits:
         stages.append((found.fits[last], "with " + " + ".join(last), "#0072b2", "s"))
-    mask = np.array([row.channel == channel for row in site.rows])
-    at = np.arange(int(mask.sum()), dtype=float)
-    if channel != "hold":
-        at = np.array([site.protocol.depth[row.level] for row in site.rows if row.channel == channel])
+    mask = site.rows.among(channel)
+    at = np.arange(mask.sum()) if channel == "hold" else site.protocol.depth[site.rows.level[mask]]
     ax.axhspan(-2, 2, color="#eef1f4", zorder=0, label="within two deviations")
     ax.axhline(0, color="#22303c", lw=0.8)
     for fitted, label, color, marker in stages:
@@ -224,7 +216,6 @@ def _gap(ax: Any, found: Diagnosis, site: SiteData, inside: slice, channel: str)
 
 
 def candidates_picture(found: Diagnosis, path: Path) -> None:
-    """Probability and detectable size of every candidate."""
     effects = sorted(found.effects.items(), key=lambda item: item[1])
     figure = Figure(figsize=(8.4, 0.28 * max(len(effects), 4) + 1.2), layout="constrained")
     left, right = figure.subplots(1, 2, sharey=True)

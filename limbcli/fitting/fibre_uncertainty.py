@@ -10,11 +10,11 @@ from scipy.spatial.transform import Rotation
 
 from limbcli.case import Site
 from limbcli.effects.tissue import fibre_direction
-from limbcli.errors import LimbError, SolveError
+from limbcli.errors import SolveError
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.meshing.fibres_from_angles import mean_axis
 from limbcli.model import Array, ElementMap, LimbModel, Value
-from limbcli.results import StageWriter, read_result
+from limbcli.results import StageWriter, data_if_there
 
 _MATTERS = 0.05  # relative change of force or speed above which a warning is given
 _LEAST_IN_SKIN = 1e-6
@@ -22,10 +22,8 @@ _LEAST_IN_SKIN = 1e-6
 
 def stated_deviation(out: Path, site: Site) -> float | None:
     """Standard deviation of the site's fibre direction (deg), from the result of `mesh`; None if unknown."""
-    try:
-        value = read_result(out, "mesh", site=site.name).data["fibres"]["deviation_deg"]
-    except (LimbError, KeyError, TypeError):
-        return None
+    fibres = data_if_there(out, "mesh", site=site.name).get("fibres") or {}
+    value = fibres.get("deviation_deg")
     return None if value is None else float(value)
 
 

@@ -12,7 +12,7 @@ from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.model import LimbModel
 from limbcli.provenance.staleness import Chain
-from limbcli.results import StageWriter, read_result, stage_folder
+from limbcli.results import StageWriter, data_if_there, stage_folder
 
 # Relative error of the force due to the mesh: for tet10 the change with refinement and with the
 # penalty (2 to 3 % at 2.5 mm edges), for tet4 that due to locking at f_kappa 1 (13 %).
@@ -93,10 +93,7 @@ def studied_error(case: Case, site: Site, out: Path, writer: StageWriter, *, lab
 
 def _differences(studied: Mapping[str, Any], site: Site, out: Path) -> str:
     """How the mesh that was studied differs from the current one, in words; empty if it does not."""
-    try:
-        meshed = read_result(out, "mesh", site=site.name).data
-    except CaseError:
-        return ""
+    meshed = data_if_there(out, "mesh", site=site.name)
     keys = ("element", "size_under_probe_mm", "margin_mm")
     unlike = [key for key in keys if key in studied and key in meshed and studied[key] != meshed[key]]
     return ", ".join(f"{key} {studied[key]} instead of {meshed[key]}" for key in unlike)

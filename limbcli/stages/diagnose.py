@@ -20,11 +20,11 @@ from limbcli.case import Case, Site
 from limbcli.config import one_blas_thread
 from limbcli.diagnosis.drainage import DrainageSolver
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.conclusions.sentences import sentences
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
+from limbcli.diagnosis.explanations.conclusions import Diagnosis
 from limbcli.diagnosis.explanations.engine import diagnose as diagnose_bench
-from limbcli.diagnosis.explanations.evidence.force_jump import force_jump
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.explanations.forward_model import Explanation
+from limbcli.diagnosis.explanations.residuals import force_jump
+from limbcli.diagnosis.explanations.sentences import sentences
 from limbcli.diagnosis.forward_model.measurement_menu import known
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves

@@ -23,8 +23,8 @@ import numpy as np
 
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Fitted
+from limbcli.diagnosis.explanations.forward_model import Fitted
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.reading import Reading
@@ -58,10 +58,7 @@ def resembled(model: SiteForwardModel, found: Fitted) -> LinearEvidence:
         with contextlib.suppress(LimbError):  # a channel is missing, or only FEBio can simulate it
             several = [each for each in model.directions(found, facts.name) if np.any(each.columns)]
             directions |= {facts.name: several} if several else {}
-    priors = {name: model.size_priors(name) for name in directions}
-    return LinearEvidence.about(
-        found, model.data.y, Whitener.of(model.data.noise.covariance), directions, priors
-    )
+    return LinearEvidence.about(found, model.data.y, Whitener.of(model.data.noise.covariance), directions)
 
 
 def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearEvidence]:

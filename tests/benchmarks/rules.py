@@ -36,9 +36,9 @@ from scipy.stats import binomtest, norm
 
 from limbcli.case import Case
 from limbcli.config import one_blas_thread
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
+from limbcli.diagnosis.explanations.conclusions import Diagnosis
 from limbcli.diagnosis.explanations.engine import _Run
-from limbcli.diagnosis.explanations.model.linear import LinearFit
+from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.diagnosis.explanations.search import Search
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.prepare import WorkingMesh, prepare

@@ -36,11 +36,11 @@ from scipy.ndimage import median_filter
 from limbcli.case import Case, Site
 from limbcli.diagnosis.data import held_forces
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.noise_parts import SmoothDepth
+from limbcli.diagnosis.data.rows import SmoothDepth
 from limbcli.diagnosis.data.site_data import SiteData
 from limbcli.diagnosis.data.windows import Windows, pitch_of
-from limbcli.diagnosis.explanations.model.forward_model import Fitted
-from limbcli.diagnosis.explanations.model.linear import LinearFit
+from limbcli.diagnosis.explanations.forward_model import Fitted
+from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
@@ -130,7 +130,7 @@ class RawReadings:
         found = [self._of_rows(channel, rows) for channel in self._channels()]
         if self.pixels is not None:
             found.append(self._of_pixels(effect, point))
-        if self.site.held is not None:
+        if self.site.seen.held is not None:
             found.append(self._of_holds(effect, point))
         return found
 
@@ -145,7 +145,7 @@ class RawReadings:
         parts = {part.name: part.covariance for part in site.data.noise.parts}
         own = np.sqrt(np.diag(parts["measurement: own error of each reading"]))[at]
         shared = np.zeros((at.sum(), self.n_shared))
-        shared[np.arange(len(level)), level] = site.depth_error * site.slope[at] * self._pressed[level]
+        shared[np.arange(len(level)), level] = site.seen.noise.depth * site.slope[at] * self._pressed[level]
         if channel == "travel":
             zero = parts["measurement: zero of the travel"]
             shared[:, -1] = np.sqrt(np.diag(zero))[at]
@@ -166,7 +166,7 @@ class RawReadings:
         rises = (self._speeds(self._plain, further=_STEP_MM) - self._speeds(self._plain)) / _STEP_MM
         n = len(self.site.protocol)
         shared[np.arange(len(level)), level] = (
-            self.site.depth_error * rises[level, pixel] * self._pressed[level]
+            self.site.seen.noise.depth * rises[level, pixel] * self._pressed[level]
         )
         noise = self.prepared.site.noise
         shared[np.arange(len(level)), n + level] = noise.swe_level_fraction
@@ -222,7 +222,7 @@ class RawReadings:
 
         At the hold's mean depth: the scatter of its samples is noise, which no effect turns into a signal.
         """
-        held, curves = self.site.held, self.prepared.curves
+        held, curves = self.site.seen.held, self.prepared.curves
         assert held is not None
         begins = np.flatnonzero(held.place == 0)
         last = np.append(begins[1:], len(held)) - 1
@@ -289,7 +289,7 @@ def reduced(
     parts = [part.covariance for part in data.noise.parts if judged or part.name.startswith("measurement")]
     covariance = np.asarray(sum(parts))
     if not judged:  # what is assumed of other causes in a hold is not noise of its readings
-        held = forward_model.predictions.sites[0].site.held
+        held = forward_model.predictions.sites[0].site.seen.held
         at = np.flatnonzero([channel == "hold" for channel in data.channel])
         if held is not None:
             covariance[at, at] -= held_forces.floors(held.windows)

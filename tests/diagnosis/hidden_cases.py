@@ -15,9 +15,9 @@ import numpy as np
 from limbcli.diagnosis.data.noise_parts import KnownErrors, ModelError
 from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
-from limbcli.diagnosis.explanations.conclusions.sentences import recommended
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.explanations.probabilities import containing
+from limbcli.diagnosis.explanations.search import containing
+from limbcli.diagnosis.explanations.sentences import recommended
 from limbcli.diagnosis.forward_model.measurement_menu import ROTATE, items
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
@@ -157,7 +157,7 @@ class Case:
     def _turned(self) -> SiteCurves:
         turned = self.curves(self.levels, ALONG)
         for m in (2.0, 5.0, 10.0):
-            turned.solve_node(m)
+            turned.solve_nodes([m])
         return turned
 
     def with_recommended(self, found) -> tuple[str, object] | None:
@@ -172,7 +172,7 @@ class Case:
         item = next(each for each in items() if each.name == name)
         curves, reading, protocol = reduced.truth(self.ingredients, self.reading, **self._true(ACROSS))
         y = item.see(curves, reading, protocol)
-        deviation = item.deviation(protocol, len(y))
+        deviation = item.deviations(protocol, len(y))
         y = y + deviation * self.rng.standard_normal(len(y))
         error = None if item.model_error is None else item.model_error(self.curves(self.levels))
         extra = ExtraMeasurement(name, item.see, y, deviation, error)

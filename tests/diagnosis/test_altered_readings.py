@@ -8,10 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.explanations.conclusions.sentences import sentences
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
+from limbcli.diagnosis.explanations.conclusions import Diagnosis
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.explanations.evidence.force_jump import force_jump
+from limbcli.diagnosis.explanations.residuals import force_jump
+from limbcli.diagnosis.explanations.sentences import sentences
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.effects.reading import Reading
 from limbcli.errors import MeasurementError

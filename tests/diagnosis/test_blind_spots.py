@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot, blind_spot
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import Added, LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
+from limbcli.diagnosis.explanations.conclusions import BlindSpot, blind_spot
+from limbcli.diagnosis.explanations.forward_model import Direction, Fitted, Prior, Priors
+from limbcli.diagnosis.explanations.laplace import posterior
+from limbcli.diagnosis.explanations.linear_evidence import Added, LinearEvidence
+from limbcli.diagnosis.explanations.noise import Noise, independent
 from limbcli.numbers.whitening import Whitener
 
 LN_FACTOR = 2.0
@@ -25,11 +25,9 @@ def linear(typical: float, sign: int = 0) -> tuple[Added, Fitted, Noise, Whitene
     fitted = Fitted(
         (), np.zeros(2), np.array([[2.0], [0.0]]), ("c",), {}, priors=Priors.about(np.zeros(1), (prior,))
     )
-    direction = Direction(np.array([[0.6], [0.8]]), ("size",), "at 3")
     prior_of_size = Prior(0.0, 1.5 * typical, 0.0 if sign else -np.inf)
-    found = LinearEvidence.about(
-        fitted, np.zeros(2), whiten, {"x": [direction]}, {"x": {"size": prior_of_size}}
-    )
+    direction = Direction(np.array([[0.6], [0.8]]), {"size": prior_of_size}, "at 3")
+    found = LinearEvidence.about(fitted, np.zeros(2), whiten, {"x": [direction]})
     return found.best("x"), fitted, noise, whiten
 
 

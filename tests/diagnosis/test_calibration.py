@@ -10,10 +10,10 @@ from scipy.stats import binom
 
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence, least_by_chance
-from limbcli.diagnosis.explanations.model.noise_covariance import unit_errors
-from limbcli.diagnosis.explanations.probabilities import PriorOdds
+from limbcli.diagnosis.explanations.laplace import posterior
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence, least_by_chance
+from limbcli.diagnosis.explanations.noise import unit_errors
+from limbcli.diagnosis.explanations.search import PriorOdds
 from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy
 
@@ -23,8 +23,7 @@ ODDS = PriorOdds(len(toy.SIGNATURES))
 def linear_of(case: toy.Toy) -> LinearEvidence:
     fitted = case.fit((), {})
     directions = {name: case.directions(fitted, name) for name in toy.SIGNATURES}
-    priors = {name: case.size_priors(name) for name in toy.SIGNATURES}
-    return LinearEvidence.about(fitted, case.y, Whitener.of(case.data.noise.covariance), directions, priors)
+    return LinearEvidence.about(fitted, case.y, Whitener.of(case.data.noise.covariance), directions)
 
 
 def nothing(linear: LinearEvidence) -> float:

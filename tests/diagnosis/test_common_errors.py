@@ -7,9 +7,9 @@ import pytest
 
 from limbcli.diagnosis import written_result
 from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import (
+from limbcli.diagnosis.explanations.noise import (
     CommonError,
+    LinearFit,
     Noise,
     common,
     common_errors,
@@ -68,7 +68,9 @@ def test_a_part_of_another_size_is_estimated_in_its_own_deviations(
 ) -> None:
     y, J = 5.0 * rng.standard_normal(N), rng.standard_normal((N, 2))
     half = noise.with_share("compressibility", 0.5)
-    by_hand = noise.with_part(common("compressibility", 0.5 * noise.parts[3].direction, source="computed"))
+    by_hand = noise.with_parts(
+        [*noise.parts[:3], common("compressibility", 0.5 * noise.parts[3].direction, source="computed")]
+    )
     for each, other in zip(*(_found(one, y, J) for one in (half, by_hand)), strict=True):
         assert each == other
 

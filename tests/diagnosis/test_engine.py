@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import binom
 
 from limbcli.diagnosis.explanations import decisions, engine
-from limbcli.diagnosis.explanations.conclusions.sentences import sentences
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.explanations.predictive_check import Check
+from limbcli.diagnosis.explanations.residuals import Check
+from limbcli.diagnosis.explanations.sentences import sentences
 from tests.diagnosis import toy
 
 
@@ -224,7 +224,7 @@ def test_no_more_data_than_parameters_are_untestable(rng, monkeypatch):
     case = toy.make(rng)
     few = np.r_[1:3, 20]
     monkeypatch.setattr(toy, "BASE", np.where(np.isin(np.arange(24), few)[:, None], toy.BASE, 0.0))
-    monkeypatch.setattr("limbcli.diagnosis.explanations.model.linear.LinearFit.nu", property(lambda self: 0))
+    monkeypatch.setattr("limbcli.diagnosis.explanations.noise.LinearFit.nu", property(lambda self: 0))
     found = run(case)
     assert found.verdict == "untestable"
     assert (found.nothing, found.check, found.blind_spots, found.effects) == (1.0, None, (), {})

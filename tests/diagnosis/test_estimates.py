@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M, estimates, sizes_95
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior, posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
+from limbcli.diagnosis.explanations.estimates import LN_M_DEVIATION, USUAL_M, estimates, sizes_95
+from limbcli.diagnosis.explanations.forward_model import Direction, Fitted, Prior, Priors
+from limbcli.diagnosis.explanations.laplace import Posterior, posterior
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
+from limbcli.diagnosis.explanations.noise import Noise, independent
 from limbcli.diagnosis.forward_model.predictions import Slot
 from limbcli.diagnosis.written_result import reported_sizes
 from limbcli.effects import EFFECTS
@@ -111,12 +111,12 @@ def test_the_interval_of_a_size_alone_is_over_its_grid(rng):
     n, columns = 30, 2.0 * np.linalg.qr(rng.standard_normal((30, 3)))[0]
     y = 0.8 * columns[:, 1] + 0.8 * columns[:, 2] + 0.3 * rng.standard_normal(n)
     noise, prior = Noise((independent("own", np.ones(n), source="spec"),)), Prior(1.0, 4.0)
-    directions = {"a": [Direction(each[:, None], ("size",), f"at {k}") for k, each in enumerate(columns.T)]}
+    directions = {
+        "a": [Direction(each[:, None], {"size": prior}, f"at {k}") for k, each in enumerate(columns.T)]
+    }
     fitted = Fitted((), np.zeros(n), np.zeros((n, 0)), (), {})
-    linear = LinearEvidence.about(
-        fitted, y, Whitener.of(noise.covariance), directions, {"a": {"size": prior}}
-    )
-    told = sizes_95(["a", "missing"], {}, linear, {"a": {"size": 1.0}})
+    linear = LinearEvidence.about(fitted, y, Whitener.of(noise.covariance), directions)
+    told = sizes_95({}, linear)
     assert set(told) == {"a"}
     precision = 4.0 + 1 / 16
     mean, weight = columns.T @ y / precision, np.exp(0.5 * (columns.T @ y) ** 2 / precision)

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, NoisePart
+from limbcli.diagnosis.explanations.forward_model import Data, Fitted
+from limbcli.diagnosis.explanations.noise import Noise, NoisePart
 from limbcli.diagnosis.explanations.residuals import held_out_error, over_shared
 
 N = 30  # data in each of two blocks, of deviation 1

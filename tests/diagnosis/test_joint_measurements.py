@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.data.joint_measurements import joined, slices
 from limbcli.diagnosis.data.noise_parts import GAIN_OF_SPEEDS
 from limbcli.diagnosis.data.rows import SiteReadings
-from limbcli.diagnosis.data.site_data import site_data
+from limbcli.diagnosis.data.site_data import joined, site_data, slices
 from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves

@@ -8,15 +8,9 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.model.forward_model import Fitted, Prior, Priors, Scalable
-from limbcli.diagnosis.explanations.model.noise_covariance import (
-    Noise,
-    NoisePart,
-    common,
-    correlated,
-    independent,
-)
+from limbcli.diagnosis.explanations.forward_model import Fitted, Prior, Priors, Scalable
+from limbcli.diagnosis.explanations.laplace import posterior
+from limbcli.diagnosis.explanations.noise import Noise, NoisePart, common, correlated, independent
 
 N = 12
 CONSTANT = -0.5 * N * np.log(2 * np.pi)  # that evidences leave out

@@ -11,10 +11,10 @@ import pytest
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.layer_rows import BorderLines, line_shift
 from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations.engine import diagnose
+from limbcli.diagnosis.forward_model.changes import line_shift
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.diagnosis.written_result import diagnosis_json, gap_picture
@@ -146,9 +146,7 @@ def test_the_stand_in_of_the_lines_is_near_a_simulation(layered_block):
     """Springs in series against the solver: fat of a third of the stiffness."""
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.1, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
-    simulations = SiteSimulations(
-        layered_block, [1.0, 2.0], c=0.006, solving=ALONE, borders=BorderLines(layers)
-    )
+    simulations = SiteSimulations(layered_block, [1.0, 2.0], c=0.006, solving=ALONE, layers=layers)
     plain, soft = simulations.curves(3.0), simulations.curves(3.0, fat)
     simulations.close()
     moved = line_shift(simulations.model, plain, fat)
@@ -165,7 +163,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     layers = LayerReadings(("skin", "fat"), np.array([[1.0, 5.0]]), 0.05, False)
     fat = ((effect("adipose-layer"), {"fat_thickness_mm": 6.0, "log_fat_softness": 1.1}),)
     depths = [0.5, 1.0, 2.0, 3.2]
-    fine = SiteSimulations(skinned((6, 4, 6)), depths, c=0.0065, solving=ALONE, borders=BorderLines(layers))
+    fine = SiteSimulations(skinned((6, 4, 6)), depths, c=0.0065, solving=ALONE, layers=layers)
     truth = fine.curves(4.0, fat)
     fine.close()
     n, nan = 7, np.full(7, np.nan)
@@ -185,7 +183,7 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
         path=Path("x"),
     )
     seen = replace(layers, thickness=so.layers + noise.layer * rng.standard_normal((n, 2)))
-    simulations = SiteSimulations(layered_block, depths, c=0.006, solving=ALONE, borders=BorderLines(seen))
+    simulations = SiteSimulations(layered_block, depths, c=0.006, solving=ALONE, layers=seen)
     site = site_data("p1", SiteReadings(levels, noise, windows=simulations.windows, layers=seen))
     the_bench = SiteForwardModel([SiteCurves(site, simulations, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
@@ -245,7 +243,7 @@ def test_simulated_curves_follow_the_borders_and_keeps_them(layered_block, tmp_p
             c=0.006,
             solving=ALONE,
             keep=tmp_path,
-            borders=BorderLines(layers),
+            layers=layers,
         )
         for _ in range(2)
     ]

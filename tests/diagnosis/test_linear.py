@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.explanations.model.linear import LinearFit
+from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.numbers.whitening import Whitener
 
 

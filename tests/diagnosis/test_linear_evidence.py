@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Fitted, Prior, Priors
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common, independent
+from limbcli.diagnosis.explanations.forward_model import Direction, Fitted, Prior, Priors
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
+from limbcli.diagnosis.explanations.noise import Noise, common, independent
 from limbcli.numbers.whitening import Whitener
 
 N = 14
@@ -40,10 +40,10 @@ class Linear:
         priors = Priors.about(theta, (OF_TISSUE,) * 2)
         fitted = Fitted((), self.base @ theta, self.base, ("c", "m"), {}, priors=priors)
         directions = {
-            name: [Direction(each, tuple(SIZES[name]), f"at {k}") for k, each in enumerate(several)]
+            name: [Direction(each, SIZES[name], f"at {k}") for k, each in enumerate(several)]
             for name, several in self.columns.items()
         }
-        return LinearEvidence.about(fitted, self.y, Whitener.of(self.covariance), directions, SIZES)
+        return LinearEvidence.about(fitted, self.y, Whitener.of(self.covariance), directions)
 
     def ln_likelihood(self, *effects: tuple[str, int], y=None) -> float:
         """Marginal, with sizes that are normal about null on both sides."""
@@ -75,7 +75,7 @@ def test_over_a_grid_it_is_the_mean_and_the_best_point_is_the_likeliest(linear):
 def test_of_a_pair_it_is_that_of_both_at_their_best_points_of_the_grid(linear):
     """Two points of three are lost where the third is far better: the factor of the pair is a third of its
     own."""
-    pairs = linear.evidence().ln_factors_of_pairs()
+    pairs = linear.evidence().ln_factors_of_pairs
     assert set(pairs) == {("one", "two"), ("one", "up"), ("two", "up")}
     best = int(np.argmax([linear.ln_likelihood(("one", k)) for k in range(3)]))
     expected = linear.ln_likelihood(("one", best), ("two", 0)) - linear.ln_likelihood() - np.log(3)

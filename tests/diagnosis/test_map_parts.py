@@ -12,8 +12,8 @@ from limbcli.diagnosis.data.noise_parts import MapNoise
 from limbcli.diagnosis.data.rows import SiteRows
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations import search
-from limbcli.diagnosis.explanations.model.forward_model import Data, Fitted
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
+from limbcli.diagnosis.explanations.forward_model import Data, Fitted
+from limbcli.diagnosis.explanations.noise import Noise, independent
 from limbcli.effects import effect
 from limbcli.effects.stiffness_places import Places
 from limbcli.measurement.map_noise import PixelNoise

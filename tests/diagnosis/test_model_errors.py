@@ -10,8 +10,7 @@ import numpy as np
 import pytest
 
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection
-from limbcli.diagnosis.mesh_error.model_errors import ModelErrors
-from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, Notes
+from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, Notes, NumericalChecks
 from limbcli.effects.curves import Curves
 from limbcli.measurement.levels import Levels
 from limbcli.results import open_stage
@@ -22,7 +21,7 @@ N = len(DEPTH)
 
 def errors_of(
     out: Path, *, thickness: float = 25.0, maps: str | None = None, hidden: Sequence[int] = ()
-) -> ModelErrors:
+) -> NumericalChecks:
     """Four levels, one of which has no depth; ln speeds of the whole and of two parts, straight in depth.
 
     hidden : depths of the simulation, by their number, at which the second part is not shown
@@ -47,13 +46,12 @@ def errors_of(
         skin_bone=nan,
         path=Path("levels.csv"),
     )
-    return ModelErrors(
-        SimpleNamespace(
-            case=SimpleNamespace(imaging=SimpleNamespace(assumed="")), site=SimpleNamespace(swe_maps=maps),
-            levels=levels, simulations=simulations, out=out, notes=Notes(), depth=DEPTH,
-            likely_m=4.0,
-        )
+    checks = NumericalChecks(
+        case=SimpleNamespace(imaging=SimpleNamespace(assumed="")), site=SimpleNamespace(swe_maps=maps),
+        levels=levels, simulations=simulations, out=out, size=5.0, notes=Notes(), progress=None,
     )  # fmt: skip
+    checks.depth, checks.likely_m = DEPTH, 4.0
+    return checks
 
 
 def with_voxels(out: Path, spacing: list[float]) -> None:
@@ -61,15 +59,20 @@ def with_voxels(out: Path, spacing: list[float]) -> None:
         writer.data["image"] = {"spacing_mm": spacing}
 
 
-def every(errors: ModelErrors):
-    correction = MeshCorrection(
-        m=np.ones(1), log_force=np.zeros((1, 6)), log_speed=np.zeros((1, 6, 3)), thickness_ratio=1.0,
-        mesh_error=np.full(N, 0.02), speed_error=np.full(N, 0.004),
-    )  # fmt: skip
+CORRECTION = MeshCorrection(
+    m=np.ones(1), logs=np.zeros((1, 6, 4)), thickness_ratio=1.0,
+    mesh_error=np.full(N, 0.02), speed_error=np.full(N, 0.004),
+)  # fmt: skip
+
+
+def every(checks: NumericalChecks):
     change = np.full(N, 0.3)
     crop = Intervention("crop", change, np.zeros((N, 3)), 4.0, left=0.3)
     locking = Intervention("locking", change, np.zeros((N, 3)), 4.0)
-    return {each.name.removeprefix("model: "): each for each in errors.all(correction, [crop, locking])}
+    return {
+        each.name.removeprefix("model: "): each
+        for each in checks.known_errors(CORRECTION, [crop, locking]).errors
+    }
 
 
 @pytest.mark.parametrize(("spacing", "touch"), [([2.0, 2.0, 2.0], 1.0), ([1.0, 1.0, 8.0], 1.0), (None, 0.2)])
@@ -97,7 +100,7 @@ def test_means_and_maps_err_by_what_is_theirs(tmp_path):
     width = means["width of the window"].log_speed
     assert width[:, 0] == pytest.approx([0.0, 0.02, 0.0, 0.08])
     assert not width[:, 1:].any()
-    slopes = errors_of(tmp_path, maps="maps").map_slopes()
+    slopes = errors_of(tmp_path, maps="maps").known_errors(CORRECTION, []).map_slopes
     assert slopes == pytest.approx(np.tile([0.03, -0.01], (3, 1)))
 
 
@@ -109,5 +112,5 @@ def test_a_part_counts_if_the_model_shows_it_at_every_depth(hidden, tmp_path):
 
 @pytest.mark.parametrize("hidden", [(), (0,), (3,), (2, 5), (4, 5)])
 def test_the_slope_of_a_part_is_that_of_the_depths_at_which_it_is_shown(hidden, tmp_path):
-    slopes = errors_of(tmp_path, maps="maps", hidden=hidden).map_slopes()
+    slopes = errors_of(tmp_path, maps="maps", hidden=hidden).known_errors(CORRECTION, []).map_slopes
     assert slopes == pytest.approx(np.array([[0.03, -0.01]] * 3), abs=1e-12)

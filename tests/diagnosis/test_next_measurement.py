@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from scipy import integrate, stats
 
-from limbcli.diagnosis.explanations.conclusions.next_measurement import ranked
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Proposal
-from limbcli.diagnosis.explanations.probabilities import Explained
+from limbcli.diagnosis.explanations.conclusions import ranked
+from limbcli.diagnosis.explanations.forward_model import Fitted, Proposal
+from limbcli.diagnosis.explanations.laplace import Posterior
+from limbcli.diagnosis.explanations.search import Explained
 
 
 def member(name: str, probability: float, deviation: float = 0.0, step: float = 0.0) -> Explained:
@@ -20,11 +20,8 @@ def member(name: str, probability: float, deviation: float = 0.0, step: float = 
 
 
 def proposal(name: str, seen: dict[str, float], slope: float = 1.0, n: int = 1) -> Proposal:
-    explanations: list[Explanation] = [(each,) for each in seen]
-    return Proposal(
-        name, f"look at {name}", {each: np.full(n, seen[each[0]]) for each in explanations},
-        {each: np.full((n, 1), slope) for each in explanations}, np.eye(n),
-    )  # fmt: skip
+    predicted = {(each,): (np.full(n, value), np.full((n, 1), slope)) for each, value in seen.items()}
+    return Proposal(name, f"look at {name}", predicted, np.eye(n))
 
 
 def test_what_separates_two_explanations_is_worth_their_entropy_and_what_sees_nothing_is_worth_none(rng):

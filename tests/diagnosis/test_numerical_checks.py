@@ -11,11 +11,7 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.curves.curve_plan import FIRST_M
-from limbcli.diagnosis.mesh_error.numerical_checks import (
-    Intervention,
-    NumericalChecks,
-    large_uncertainty,
-)
+from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, NumericalChecks, large_uncertainty
 from limbcli.effects.curves import Curves, continued, filled, log_force_at
 from limbcli.measurement.indentation import Levels
 

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 from scipy.stats import binom, chi2
 
-from limbcli.diagnosis.explanations import decisions, predictive_check
-from limbcli.diagnosis.explanations.model.forward_model import Data
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent, unit_errors
-from limbcli.diagnosis.explanations.predictive_check import Check, checked
+from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations.forward_model import Data
+from limbcli.diagnosis.explanations.noise import LinearFit, Noise, independent, unit_errors
+from limbcli.diagnosis.explanations.residuals import WHOLE, Check, checked
 from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy
 
@@ -54,7 +53,7 @@ def test_the_whole_comes_first_with_its_own_chi2(rng):
     whiten = Whitener.of(data.noise.covariance)
     left = LinearFit.of(whiten(y), whiten(toy.BASE))
     whole = found.parts[0]
-    assert (whole.name, whole.nu) == (predictive_check.WHOLE, len(data) - 3)
+    assert (whole.name, whole.nu) == (WHOLE, len(data) - 3)
     assert whole.chi2 == pytest.approx(left.chi2)
     assert [each.name for each in found.parts[1:]] == list(data.groups)
     # heavier tails than normal ones: a little above the p of chi2

@@ -12,10 +12,10 @@ from limbcli.diagnosis.data.noise_parts import IN_MAPS, LEAST_IN_MAPS, STRAIN, K
 from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.conclusions.sentences import sentences
 from limbcli.diagnosis.explanations.engine import diagnose
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
+from limbcli.diagnosis.explanations.laplace import posterior
 from limbcli.diagnosis.explanations.search import form_error
+from limbcli.diagnosis.explanations.sentences import sentences
 from limbcli.diagnosis.forward_model.changes import logs
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
@@ -153,7 +153,7 @@ def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
     the_bench = bench(levels(rng), names=("contraction",))
     x = np.array([*np.log([0.0065, 4.0]), 0.5])
     for m in (2.0, 5.0):
-        the_bench.predictions.sites[0].solve_node(m)
+        the_bench.predictions.sites[0].solve_nodes([m])
     onset = "tensed_after_share_of_levels"
     plain = the_bench.predictions.predict(x[:2])
     whole, late = (
@@ -170,7 +170,7 @@ def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
 def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
     one = bench(levels(rng), names=("skin-layer", "contraction")).predictions.sites[0]
     for m in (2.0, 5.0):
-        one.solve_node(m)
+        one.solve_nodes([m])
     points = ({"tensed_after_share_of_levels": 0.0}, {"skin_thickness_mm": 1.5})
     pair = AtPoints(("contraction", "skin-layer"), points)
     theta = {"active_stress_per_c": 1.0, "log_skin_ratio": 3.0}
@@ -188,7 +188,7 @@ def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
     """Where a large size was simulated, the model without the effect is still the model without it."""
     one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
     for m in (2.0, 5.0):
-        one.solve_node(m)
+        one.solve_nodes([m])
     skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
 
     def force(log_ratio):
@@ -209,7 +209,7 @@ def test_every_model_that_was_simulated_is_kept_as_it_is(rng):
     """Whatever is simulated after it, further off, and with another m."""
     one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
     for m in (2.0, 5.0):
-        one.solve_node(m)
+        one.solve_nodes([m])
     skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
     solved = [(4.0, 1.0), (4.0, 3.0), (2.5, 2.0)]
     for m, log_ratio in solved:
@@ -428,7 +428,9 @@ def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng):
     the_bench = bench(levels(rng), names=("adipose-layer",))
     the_bench.fit((), {})
     fitted = the_bench.fit(("adipose-layer",), {"log_fat_softness": 2.9})
-    softness = the_bench.size_priors("adipose-layer")["log_fat_softness"]
+    softness = {each.name: each.prior for each in the_bench.predictions.sizes("adipose-layer")}[
+        "log_fat_softness"
+    ]
     assert not any("higher bound" in each for each in fitted.at_bound)
     assert abs(fitted.values["log_fat_softness"] - softness.mean) < softness.deviation
 
@@ -452,7 +454,7 @@ def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):
     the_bench = bench(levels(rng), names=("force-zero",))
     one = the_bench.predictions.sites[0]
     for m in (2.0, 5.0, 10.0):
-        one.solve_node(m)
+        one.solve_nodes([m])
     for m in (1.0, 1.5, 3.0, 4.0, 7.0, 9.0):
         c = one.simulations.c
         true, between = one.simulations.curves(m), one.curves(c, m, AtPoints(), {})
@@ -477,12 +479,12 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
         lambda self, m, ingredients: tuple(0.5 * x for x in whole(self, m, ingredients)),
     )
     one, skin = bench(levels(rng), names=("skin-layer",)).predictions.sites[0], effect("skin-layer")
-    one.solve_node(2.0)
+    one.solve_nodes([2.0])
     theta = {"log_skin_ratio": 1.5}
     true = logs(one.simulations.curves(2.0, ((skin, {**skin.grid[0], **theta}),))) - logs(
         one.simulations.curves(2.0)
     )
-    found = one.changes.of(skin, skin.grid[0]).at(theta)
+    found = one.changes.of(skin, skin.grid[0])(theta)
     assert np.abs(true[1:, 0]).max() > 0.05
     seen = np.isfinite(true[1:])
     assert found[1:][seen] == pytest.approx(true[1:][seen], abs=1e-9)
@@ -490,7 +492,7 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
 
 def test_what_an_effect_spreads_is_told_where_it_was_not_simulated(rng, monkeypatch):
     one, skin = bench(levels(rng), names=("skin-layer",)).predictions.sites[0], effect("skin-layer")
-    one.solve_node(2.0)
+    one.solve_nodes([2.0])
     whole = one.simulations.curves
 
     def curves(m, ingredients=()):
@@ -499,7 +501,7 @@ def test_what_an_effect_spreads_is_told_where_it_was_not_simulated(rng, monkeypa
         return whole(m)
 
     monkeypatch.setattr(one.simulations, "curves", curves)
-    change = one.changes.of(skin, skin.grid[0]).at({"log_skin_ratio": 1.5})
+    change = one.changes.of(skin, skin.grid[0])({"log_skin_ratio": 1.5})
     assert np.abs(change[1:, 0]).max() > 0.05  # of the kept deformation
     assert one.changes.not_simulated == {"skin-layer": "it takes too long"}
 
@@ -510,10 +512,10 @@ def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
     made = bench(measured, ("contraction", "force-zero"))
     made.fit((), {})
     fitted = made.fit(("contraction",), {})
-    made.predictions.simulations.spent = True
+    made.predictions.sites[0].simulations.spent = True
     assert made.verified(fitted) is fitted
     assert made.not_simulated == {("contraction",)}
-    made.predictions.simulations.spent = False
+    made.predictions.sites[0].simulations.spent = False
     assert made.verified(fitted) is not fitted
     without = made.fit(("force-zero",), {})
     assert made.verified(without) is without

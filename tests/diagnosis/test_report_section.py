@@ -10,8 +10,9 @@ import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from limbcli.diagnosis import written_result as pictures
-from limbcli.diagnosis.explanations.conclusions.sentences import sentences
+from limbcli.diagnosis.data.rows import SiteRows
 from limbcli.diagnosis.explanations.engine import diagnose
+from limbcli.diagnosis.explanations.sentences import sentences
 from limbcli.diagnosis.written_result import (
     _in_plausible_sizes,
     candidates_picture,
@@ -97,7 +98,7 @@ def test_words_of_a_gap_of_many_channels_and_sites_can_be_read_in_print(tmp_path
     kept, n = [], 3 * len(CHANNELS)
     monkeypatch.setattr(pictures, "slices", lambda s: [slice(n * k, n * (k + 1)) for k in range(len(s))])
     monkeypatch.setattr(pictures, "save_figure", lambda figure, *_, **__: kept.append(figure))
-    rows = [SimpleNamespace(channel=each, level=k) for each in CHANNELS for k in range(3)]
+    rows = SiteRows.together([SiteRows.of(each, np.arange(3)) for each in CHANNELS])
     data = SimpleNamespace(y=np.ones(n), deviation=np.ones(n))
     sites = [
         SimpleNamespace(name=f"medial proximal am Köpfchen {k}", rows=rows, data=data,

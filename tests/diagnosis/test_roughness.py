@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.explanations.model.forward_model import Data
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, independent
+from limbcli.diagnosis.explanations.forward_model import Data
+from limbcli.diagnosis.explanations.noise import LinearFit, Noise, independent
 from limbcli.diagnosis.explanations.residuals import roughness
 from limbcli.numbers.whitening import Whitener
 

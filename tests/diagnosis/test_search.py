@@ -10,10 +10,9 @@ import numpy as np
 import pytest
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
-from limbcli.diagnosis.explanations.probabilities import Explained, PriorOdds, containing, credible, named
-from limbcli.diagnosis.explanations.search import Search
+from limbcli.diagnosis.explanations.forward_model import Explanation
+from limbcli.diagnosis.explanations.laplace import posterior
+from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
 from tests.diagnosis import toy
 
 NAMES = list(toy.SIGNATURES)

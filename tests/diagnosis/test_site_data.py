@@ -10,11 +10,11 @@ import pytest
 
 from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.noise_parts import KnownErrors, ModelError, deepest, depth_slopes
-from limbcli.diagnosis.data.rows import SiteReadings
+from limbcli.diagnosis.data.noise_parts import KnownErrors, ModelError, depth_slopes
+from limbcli.diagnosis.data.rows import SiteReadings, deepest
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.diagnosis.explanations.model.linear import LinearFit
+from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.diagnosis.explanations.residuals import roughness
 from limbcli.diagnosis.forward_model.predictions import Predictions
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from limbcli.diagnosis.explanations.evidence.truncated import Truncated, ln_probability, quantiles
+from limbcli.diagnosis.explanations.laplace import Truncated, ln_probability, quantiles
 
 INF = np.inf
 

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.optimize import lsq_linear
 
-from limbcli.diagnosis.explanations.model.forward_model import (
+from limbcli.diagnosis.explanations.forward_model import (
     Data,
     Direction,
     Explanation,
@@ -24,7 +24,7 @@ from limbcli.diagnosis.explanations.model.forward_model import (
     Proposal,
     Scalable,
 )
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common, independent
+from limbcli.diagnosis.explanations.noise import Noise, common, independent
 from limbcli.errors import SolveError
 
 N_FORCE, N_SPEED = 13, 11
@@ -105,9 +105,6 @@ class Toy:
             for name in SIGNATURES
         ]
 
-    def size_priors(self, name: str) -> Mapping[str, Prior]:
-        return {name: prior_of(name)}
-
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """The largest posterior within the sizes' limits, at the best point of the effects' grids."""
         if self.failing and self.failing in explanation:
@@ -138,20 +135,20 @@ class Toy:
         return fitted
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
-        return [Direction(column[:, None], (name,), point) for point, column in SIGNATURES[name]]
+        return [
+            Direction(column[:, None], {name: prior_of(name)}, point) for point, column in SIGNATURES[name]
+        ]
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
         """A thermometer that sees `toe` alone, and one that sees nothing."""
-        seen, none, jacobians = {}, {}, {}
+        toe, none = {}, {}
         for fit in fits:
-            seen[fit.explanation] = np.full(3, fit.values.get("toe", 0.0))
-            none[fit.explanation] = np.zeros(3)
-            jacobians[fit.explanation] = np.tile(
-                [float(n == "toe") for n in (*fit.base_names, *fit.effect_names)], (3, 1)
-            )
+            slope = np.tile([float(n == "toe") for n in (*fit.base_names, *fit.effect_names)], (3, 1))
+            toe[fit.explanation] = np.full(3, fit.values.get("toe", 0.0)), slope
+            none[fit.explanation] = np.zeros(3), 0.0 * slope
         return [
-            Proposal("look at the toe", "sees toe", seen, jacobians, np.eye(3)),
-            Proposal("look away", "sees nothing", none, {k: 0 * v for k, v in jacobians.items()}, np.eye(3)),
+            Proposal("look at the toe", "sees toe", toe, np.eye(3)),
+            Proposal("look away", "sees nothing", none, np.eye(3)),
         ]
 
 

@@ -15,7 +15,6 @@ import pydicom
 import pytest
 from pydicom.uid import DeflatedExplicitVRLittleEndian
 
-from limbcli.diagnosis.curves.site_solver import SolveMemo
 from limbcli.errors import LimbError
 from limbcli.files.unpacking import UnpackingBudget, read_npz
 from limbcli.imaging.dicom import read_series
@@ -26,6 +25,7 @@ from limbcli.imaging.label_files import read_label_file
 from limbcli.imaging.surface import read_surface
 from limbcli.measurement.ultrasound_image import read_image as read_picture
 from limbcli.solvers.restart import RESTART_FILE, Restart
+from limbcli.solvers.solve_folder import SolveFolder
 from limbcli.surface_formats.colours import has_colours
 from tests.files.test_xml_files import write_3mf
 from tests.fuzz.targets import make_dicom
@@ -210,7 +210,7 @@ def test_stored_solves_that_unpack_without_end_are_solved_again(tmp_path: Path, 
     assert Restart(feb.parent, feb.read_bytes(), "").n_stored == 1
     monkeypatch.setattr("limbcli.files.unpacking.MOST_UNPACKED", 5000)
     assert Restart(feb.parent, feb.read_bytes(), "").n_stored == 0
-    assert SolveMemo(folder=tmp_path).levels("k") is None
+    assert SolveFolder(folder=tmp_path).levels("k") is None
 
 
 def test_the_first_bytes_of_a_gzip_file_cost_only_themselves() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.curves.node_table import NodeTable
+from limbcli.diagnosis.curves.site_simulations import NodeTable
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.frozen_deformation import SolvedDeformation
 from limbcli.shear_waves.speed import block_speeds

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from limbcli.case import Case
-from limbcli.diagnosis.mesh_error.model_errors import USUAL_GAIN, assumed_gain
+from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_GAIN, assumed_gain
 from limbcli.errors import CaseError
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.fitting.geometry_variations import depth_deviation

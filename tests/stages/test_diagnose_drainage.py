@@ -11,10 +11,12 @@ import pytest
 
 from limbcli.cli.app import main
 from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.drainage import DrainageSolver, Drained, drained
+from limbcli.diagnosis.drainage import DrainageSolver, drained
+from limbcli.diagnosis.mesh_error.numerical_checks import Notes
 from limbcli.effects import poroelasticity
 from limbcli.effects.curves import Curves
-from limbcli.errors import SolveError
+from limbcli.effects.effect import Effect
+from limbcli.errors import LimbError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.model import LimbModel
 from limbcli.progress import SILENT
@@ -77,52 +79,54 @@ def held(fall: float) -> HeldForces:
     return HeldForces(depth, np.array([[(24, 34), (84, 94)]] * 2), np.full(2, fall), 0.004**2 * np.eye(2))
 
 
-def drained_by(solver: Pretending, keep: Path, data: HeldForces | None, *, always: bool = True) -> Drained:
-    return drained(
-        DrainageSolver(solver, always), data, "no trace", Book(), deepest=4.0, keep=keep, progress=SILENT
+def drained_by(
+    solver: Pretending, keep: Path, data: HeldForces | None, *, always: bool = True
+) -> tuple[Effect, Notes]:
+    notes = Notes({"holds_not_used": "no trace"})
+    found = drained(
+        DrainageSolver(solver, always), data, Book(), deepest=4.0, keep=keep, notes=notes, progress=SILENT
     )
+    return found, notes
 
 
 def test_what_drains_is_simulated_once_and_kept(tmp_path):
     solver = Pretending()
-    found = drained_by(solver, tmp_path, held(0.1))
+    effect, notes = drained_by(solver, tmp_path, held(0.1))
     assert sorted(solver.requested) == pytest.approx([0.8, 1.8, 3.8], abs=0.21)
-    assert found.effect is not None
-    assert not found.effect.febio_only
-    assert not found.effect.solves
-    assert [each["depth_mm"] for each in found.facts["runs"]] == [4.0, 2.0, 1.0]
-    assert found.facts["solver_version"] == "4.0"
+    assert not effect.febio_only
+    assert not effect.solves
+    assert [each["depth_mm"] for each in notes.data["drainage"]["runs"]] == [4.0, 2.0, 1.0]
+    assert notes.data["drainage"]["solver_version"] == "4.0"
     again = Pretending()
-    assert drained_by(again, tmp_path, held(0.1)).effect is not None
+    drained_by(again, tmp_path, held(0.1))
     assert again.requested == []
 
 
 def test_what_fails_is_tried_again_in_shorter_steps(tmp_path):
     solver = Pretending(longest=0.2)
-    found = drained_by(solver, tmp_path, held(0.1))
-    assert found.effect is not None
-    assert not found.warnings
+    _, notes = drained_by(solver, tmp_path, held(0.1))
+    assert not notes.warnings
     assert len(solver.requested) == 6
-    assert [each["problem"] for each in found.facts["runs"]] == [None] * 3
+    assert [each["problem"] for each in notes.data["drainage"]["runs"]] == [None] * 3
 
 
 def test_a_depth_without_an_answer_is_told_and_two_refuse(tmp_path):
-    found = drained_by(Pretending(reach=3.0), tmp_path, held(0.1))
-    assert found.effect is not None
-    assert "without FEBio's run at 4 mm: FEBio stopped with an error" in found.warnings[0]
-    refused = drained_by(Pretending(reach=1.5), tmp_path / "other", held(0.1))
-    assert refused.effect is None
-    assert "at only 1 of 3 depths: FEBio stopped" in refused.refused.what
-    none = drained_by(Pretending(reach=0.0), tmp_path / "none", held(0.1))
-    assert "at only 0 of 3 depths" in none.refused.what
+    _, notes = drained_by(Pretending(reach=3.0), tmp_path, held(0.1))
+    assert "without FEBio's run at 4 mm: FEBio stopped with an error" in notes.warnings[0]
+    with pytest.raises(LimbError, match="at only 1 of 3 depths: FEBio stopped"):
+        drained_by(Pretending(reach=1.5), tmp_path / "other", held(0.1))
+    with pytest.raises(LimbError, match="at only 0 of 3 depths"):
+        drained_by(Pretending(reach=0.0), tmp_path / "none", held(0.1))
 
 
 def test_without_holds_or_fall_nothing_is_simulated(tmp_path):
     solver = Pretending()
-    assert "hold (no trace)" in drained_by(solver, tmp_path, None).refused.what
-    assert "no force decrease" in drained_by(solver, tmp_path, held(0.0), always=False).refused.what
+    with pytest.raises(LimbError, match=r"hold \(no trace\)"):
+        drained_by(solver, tmp_path, None)
+    with pytest.raises(LimbError, match="no force decrease"):
+        drained_by(solver, tmp_path, held(0.0), always=False)
     assert solver.requested == []
-    assert drained_by(solver, tmp_path, held(0.1), always=False).effect is not None
+    drained_by(solver, tmp_path, held(0.1), always=False)
 
 
 def test_febio_that_is_not_there_is_exit_code_4(capsys, tmp_path):

@@ -8,14 +8,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.curves import site_models
-from limbcli.diagnosis.curves.curve_plan import Reach, SiteWork, Solving
+from limbcli.diagnosis.curves import site_solver
+from limbcli.diagnosis.curves.curve_plan import Reach, SiteWork, Solving, some_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.curves.site_solver import SiteSolver
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.forward_model.changes import Changes
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.diagnosis.mesh_error.penetration import Penetration
+from limbcli.diagnosis.mesh_error.mesh_correction import Penetration
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.errors import SolveError
@@ -242,7 +242,7 @@ def test_a_kept_deformation_whose_file_is_gone_is_solved_again(block, tmp_path, 
 
 
 @pytest.mark.parametrize(
-    ("name", "other"), [("_READING", site_models._READING + 1), ("__version__", "0.0.0")]
+    ("name", "other"), [("_READING", site_solver._READING + 1), ("__version__", "0.0.0")]
 )
 def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
     block, tmp_path, monkeypatch, name, other
@@ -252,7 +252,7 @@ def test_curves_that_were_read_or_solved_otherwise_are_solved_again(
         return len(list(tmp_path.glob("*-levels.npz")))
 
     assert [n_kept(), n_kept()] == [1, 1]
-    monkeypatch.setattr(site_models, name, other)
+    monkeypatch.setattr(site_solver, name, other)
     assert n_kept() == 2
 
 
@@ -391,9 +391,22 @@ def test_a_law_that_fails_is_left_out_unless_all_do(reach, solved):
     site.solve_nodes((2.0, 10.0, 5.0))
     assert sorted(site.nodes) == solved
     assert site.simulations.requested[:3] == [10.0, 5.0, 2.0]
-    assert not site.solve_node(7.0)
+    site.solve_nodes([7.0])
+    assert sorted(site.nodes) == solved
     with pytest.raises(SolveError, match="not at 7"):
         SiteCurves(None, Book(), {}).solve_nodes((7.0,))
+
+
+def test_what_fails_for_some_is_left_out_and_for_all_is_an_error():
+    def of(m: float) -> float:
+        if m > 2.0:
+            raise SolveError(f"not at {m:g}", where="level", fix="none")
+        return 10.0 * m
+
+    assert some_solved(of, (1.0, 3.0, 2.0)) == [10.0, 20.0]
+    assert some_solved(of, ()) == []
+    with pytest.raises(SolveError, match="not at 4"):
+        some_solved(of, (3.0, 4.0))
 
 
 class ThicknessBook:
@@ -413,7 +426,7 @@ class ThicknessBook:
 
 def test_an_effect_that_moves_the_mesh_changes_parts_that_are_side_by_side_alike():
     simulations, thickness = ThicknessBook(), effect("thickness")
-    change = Changes(simulations, progress=SILENT).of(thickness, {}).at({"thickness_change": -0.1})
+    change = Changes(simulations, progress=SILENT).of(thickness, {})({"thickness_change": -0.1})
     assert change[:, 1:] == pytest.approx(np.full((3, 61), 0.1))
     site = SiteCurves(None, simulations, {"thickness": thickness})
     site.solve_nodes((4.0, 8.0))
@@ -446,17 +459,17 @@ class TiltBook:
 def test_a_probe_tilted_the_other_way_is_soft_at_first_touch_too(angle):
     tilt = effect("tilt")
     change = Changes(TiltBook(), progress=SILENT).of(tilt, {})
-    found = change.at({**tilt.null, "tilt_about_long_axis_deg": angle})
+    found = change({**tilt.null, "tilt_about_long_axis_deg": angle})
     assert found[1:, 0] == pytest.approx(-0.008 * abs(angle) - 0.003 * angle, abs=0.011)
     assert found[:, 1:] == pytest.approx(0.002 * angle)
-    ends = [change.at({**tilt.null, "tilt_about_long_axis_deg": each})[2, 0] for each in (-0.1, 0.1)]
+    ends = [change({**tilt.null, "tilt_about_long_axis_deg": each})[2, 0] for each in (-0.1, 0.1)]
     assert (ends[1] - ends[0]) / 0.2 == pytest.approx(-0.003), "the slope at null is that of the two sides"
 
 
 def test_a_tilt_without_an_answer_on_its_other_side_goes_by_the_one():
     tilt = effect("tilt")
     change = Changes(TiltBook(fails=-5.0), progress=SILENT).of(tilt, {})
-    found = change.at({**tilt.null, "tilt_about_long_axis_deg": 10.0})
+    found = change({**tilt.null, "tilt_about_long_axis_deg": 10.0})
     assert found[1:, 0] == pytest.approx(-0.11)
 
 

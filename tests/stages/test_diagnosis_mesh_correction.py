@@ -12,8 +12,13 @@ import pytest
 from limbcli.diagnosis import written_model as written
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.mesh_error.mesh_comparison import corrected, left_error
-from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, own_curves, own_run
+from limbcli.diagnosis.mesh_error.mesh_correction import (
+    MeshCorrection,
+    corrected,
+    left_error,
+    own_curves,
+    own_run,
+)
 from limbcli.diagnosis.mesh_error.numerical_checks import Notes
 from limbcli.effects.curves import Curves
 from limbcli.errors import CaseError
@@ -119,7 +124,7 @@ def test_a_layer_beside_the_tissue_is_no_error_of_a_mesh(ran, tmp_path):
     )
     correction = corrected(checks, [4.0], freed={}, held={})
     simulations.close()
-    assert not correction.log_force.any()
+    assert not correction.logs[..., 0].any()
     assert correction.mesh_error.max() < 0.2
     assert "has layers (fat) as well as the tissue" in notes.warnings[0]
     with pytest.raises(CaseError, match="has fat as well as the tissue"):
@@ -144,10 +149,10 @@ def test_the_limb_is_half_way_from_a_cut_that_is_held_to_one_that_is_free():
     """Of ln force and ln speeds; a part that the free model does not show moves as at the next depths."""
     held, freed = _curves([0.0, 2.0, 5.0], [0.1, 0.2, 0.3]), _curves([0.0, 1.0, 3.2], [0.0, np.nan, 0.5])
     depth = np.array([0.0, 1.5, 2.0])
-    assert not _corrected({4.0: held}, depth).log_force.any()
+    assert not _corrected({4.0: held}, depth).logs.any()
     found = _corrected({4.0: held}, depth, freed={4.0: freed})
-    assert held.force * np.exp(found.log_force[0]) == pytest.approx(np.sqrt(held.force * freed.force))
-    assert found.log_speed[0, :, 0] == pytest.approx([-0.05, 0.025, 0.1])
+    assert held.force * np.exp(found.logs[0, :, 0]) == pytest.approx(np.sqrt(held.force * freed.force))
+    assert found.logs[0, :, 1] == pytest.approx([-0.05, 0.025, 0.1])
 
 
 def test_the_limb_is_half_way_from_a_far_side_that_is_free_to_one_that_is_held():
@@ -156,11 +161,10 @@ def test_the_limb_is_half_way_from_a_far_side_that_is_free_to_one_that_is_held()
     held = _curves([0.0, 2.2, 6.0], [0.1, 0.3, 0.2])
     depth = np.array([0.0, 1.5, 2.0])
     alone = _corrected({4.0: plain}, depth, held={4.0: held})
-    assert plain.force * np.exp(alone.log_force[0]) == pytest.approx(np.sqrt(plain.force * held.force))
+    assert plain.force * np.exp(alone.logs[0, :, 0]) == pytest.approx(np.sqrt(plain.force * held.force))
     both = _corrected({4.0: plain}, depth, freed={4.0: freed}, held={4.0: held})
     cut = _corrected({4.0: plain}, depth, freed={4.0: freed})
-    assert both.log_force == pytest.approx(alone.log_force + cut.log_force)
-    assert both.log_speed == pytest.approx(alone.log_speed + cut.log_speed)
+    assert both.logs == pytest.approx(alone.logs + cut.logs)
 
 
 def test_the_deepest_depths_of_the_own_mesh_are_attempted_but_not_required(tmp_path, monkeypatch):
@@ -192,9 +196,8 @@ def test_an_error_of_quadratic_elements_goes_as_the_square_of_their_edge():
 def _correction(several: list[float], force: list[float], speed: list[float]) -> MeshCorrection:
     """Of two depths and one part; the same at both depths."""
     return MeshCorrection(
-        m=np.array(several), log_force=np.repeat(np.array(force)[:, None], 2, axis=1),
-        log_speed=np.repeat(np.array(speed)[:, None, None], 2, axis=1), thickness_ratio=1.0,
-        mesh_error=np.zeros(1), speed_error=np.zeros(1),
+        m=np.array(several), logs=np.repeat(np.array([force, speed]).T[:, None], 2, axis=1),
+        thickness_ratio=1.0, mesh_error=np.zeros(1), speed_error=np.zeros(1),
     )  # fmt: skip
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.mesh_error.penetration import Penetration, penetration
+from limbcli.diagnosis.mesh_error.mesh_correction import Penetration, penetration
 from limbcli.effects import effect
 from limbcli.effects.curves import Curves, log_force_at
 from tests.stages import block_case

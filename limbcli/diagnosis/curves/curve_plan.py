@@ -13,12 +13,13 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
-from limbcli.errors import SolveError
+from limbcli.errors import LimbError, SolveError
 from limbcli.solvers.budget import Budget
 
 if TYPE_CHECKING:
     from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 
+S = TypeVar("S")
 T = TypeVar("T")
 # Exponents m that are simulated first at every site; values between are interpolated, others are simulated
 # when needed. The stiffer law stays stable to larger depths, and its solutions are initial guesses for the
@@ -64,6 +65,21 @@ def where_solved(of: Callable[[float], T], several: Iterable[float]) -> dict[flo
     for m in several:
         with contextlib.suppress(SolveError):
             found[m] = of(m)
+    return found
+
+
+def some_solved(
+    of: Callable[[S], T], several: Iterable[S], *, unless: type[LimbError] = SolveError
+) -> list[T]:
+    """What a function gives for these, without those for which it fails; raises if it fails for all."""
+    found, problem = [], None
+    for each in several:
+        try:
+            found.append(of(each))
+        except unless as error:
+            problem = error
+    if not found and problem is not None:
+        raise problem
     return found
 
 

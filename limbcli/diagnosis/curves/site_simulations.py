@@ -9,31 +9,118 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, Reach, Solving, bend, nearest_m, where_solved
-from limbcli.diagnosis.curves.node_table import NodeTable
-from limbcli.diagnosis.curves.site_models import SiteModels, fingerprint
-from limbcli.diagnosis.curves.site_solver import SiteSolver, SolvedCurves
-from limbcli.diagnosis.data.layer_rows import BorderLines
+from limbcli.diagnosis.curves.site_solver import SiteModels, SiteSolver, Solve, SolvedCurves, fingerprint
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.curves import Curves, continued, filled
-from limbcli.effects.frozen_deformation import SolvedDeformation, frozen_force, frozen_speed
+from limbcli.effects.frozen_deformation import (
+    SolvedDeformation,
+    frozen_force,
+    frozen_speed,
+    strain_concentrations,
+)
 from limbcli.effects.ingredients import Ingredients, is_numerical, laws, names_of, stiffness_fields
+from limbcli.effects.stiffness_places import Stiffness
+from limbcli.effects.tissue import thickness
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array, IntArray, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
-from limbcli.site_model.indentation_model import indentation_model, starting_depth, with_penalty
+from limbcli.site_model.indentation_model import indentation_model, starting_depth, tissue_nodes, with_penalty
+from limbcli.site_model.layer_readings import LayerReadings
+from limbcli.solvers.integration_points import IntegrationPoints
+from limbcli.solvers.material_lines import FILE as OF_LINES
+from limbcli.solvers.material_lines import material_lines
 
+_FILE = "displacements.csv"
+_LEAST_LINE = 1e-3  # mm, smallest depth of a line below the skin
 # Contact penalty as a multiple of the usual one, which was chosen for FEBio at m 2: the stiffer the tissue
 # becomes, the deeper the probe penetrates it. At m 5 and a depth of 14 of 38 mm the usual penalty lowers the
 # force by 22 %, four times this penalty by 10 %.
 _CONTACT_STIFFER = 4.0
 _MOST_CHANGE = 10.0  # largest factor on the force at fixed deformation: stretched cells, exponential laws
+
+
+@dataclass(frozen=True, eq=False)
+class NodeTable:
+    """Evaluates displacements of the tissue's nodes.
+
+    nodes : indices of these; lines (n_borders,) : mm below the skin at first touch, of layer borders to track
+    """
+
+    nodes: IntArray
+    windows: Windows
+    density_kg_per_m3: float
+    lines: Array | None = None
+
+    @staticmethod
+    def of(
+        model: LimbModel, windows: Windows, density_kg_per_m3: float, lines: Array | None = None
+    ) -> NodeTable:
+        nodes = np.unique(model.mesh.solid_blocks[0].cells)
+        return NodeTable(nodes, windows, density_kg_per_m3, lines)
+
+    def records(self, model: LimbModel) -> tuple[LogRecord, ...]:
+        """Required output of a simulation; for lines all tissue nodes, as effects may move the mesh under the
+        beam."""
+        displacements = LogRecord("node", ("ux", "uy", "uz"), _FILE, self.nodes)
+        if self.lines is None:
+            return (displacements,)
+        return displacements, LogRecord("node", ("ux", "uy", "uz"), OF_LINES, tissue_nodes(model))
+
+    def values(self, solve: Solve) -> Array:
+        """Displacements at the levels reached, in the precision of the memo, so that a resumed diagnosis
+        continues with the same numbers."""
+        return solve.result.simulation.nodes[_FILE].values[solve.result.rows].astype(np.float32).astype(float)
+
+    def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
+        """The tissue's deformation at these depths (mm, n), the first of which is 0."""
+        points = IntegrationPoints.of(model.mesh.points, model.mesh.solid_blocks[0])
+        displacement = np.zeros((len(depth), len(model.mesh.points), 3))
+        displacement[1:, self.nodes] = values
+        rest = points.rest.reshape(-1, 3)
+        F = np.array([points.gradients(u) for u in displacement])
+        seen = [
+            self.windows.seen(
+                model, points.places(u).reshape(-1, 3), rest, gradient.reshape(-1, 3, 3), depth=float(d)
+            )
+            for u, gradient, d in zip(displacement, F, depth, strict=True)
+        ]
+        return SolvedDeformation(depth, F, points.rest, points.volume, tuple(seen))
+
+    def curves(
+        self, solve: Solve, kinematics: SolvedDeformation, *, in_window: LimbModel,
+        stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
+    ) -> Curves:  # fmt: skip
+        """Curves down to the level reached.
+
+        in_window : the model used for the wave speeds, without `stiffness`; stiffness : fields that multiply
+        its stiffnesses; without : see `strain_concentrations`
+        """
+        density = self.density_kg_per_m3
+        concentrations = strain_concentrations(
+            in_window, kinematics, without, stiffness, density_kg_per_m3=density
+        )
+        speeds = frozen_speed(
+            in_window, kinematics, stiffness, density_kg_per_m3=density, concentrations=concentrations
+        )
+        return Curves(
+            kinematics.depth, np.concatenate([[0.0], solve.result.must_points.forces]), speeds,
+            self.windows.depths, thickness(solve.model), self._log_lines(solve),
+        )  # fmt: skip
+
+    def _log_lines(self, solve: Solve) -> Array | None:
+        """ln of the lines' depth in mm below the skin (1 + n_depths, n_borders), at rest first."""
+        if self.lines is None:
+            return None
+        lines, moved = material_lines(solve.model, self.lines), solve.result.simulation.nodes[OF_LINES]
+        below = lines.below_skin(lines.of_table(moved)[solve.result.rows][..., 2])
+        return np.log(np.maximum(np.vstack([self.lines, below]), _LEAST_LINE))
 
 
 class SiteSimulations:
@@ -45,7 +132,7 @@ class SiteSimulations:
     reach : how far to simulate. Where the solver stops short of the depth needed, but beyond enough of it,
         curves are extrapolated along those of a stiffer law, or of the model without effects
     c : MPa, the reference stiffness; keep : cache folder of solved curves
-    borders : layer borders to track
+    layers : whose borders to track, but for the one at the bone
 
     Attributes
     ----------
@@ -58,19 +145,20 @@ class SiteSimulations:
     def __init__(
         self, meshed: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float = 100.0,
         density_kg_per_m3: float = 1000.0, windows: Windows = Windows(), keep: Path | None = None,
-        progress: Progress = SILENT, borders: BorderLines | None = None,
+        progress: Progress = SILENT, layers: LayerReadings | None = None,
         reach: Reach = Reach(), solving: Solving = Solving(),
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
-        self.table = NodeTable.of(model, windows, density_kg_per_m3, borders)
+        lines = None if layers is None else np.asarray(layers.rest[: layers.n_counted])
+        self.table = NodeTable.of(model, windows, density_kg_per_m3, lines)
         model = with_penalty(model, solving.penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.c, self.windows, self.depths = c, windows, [float(each) for each in depths]
         self.model = replace(model, records=(*model.records[:1], *self.table.records(model)))
         self.needed = self.depths[-1] if reach.needed is None else reach.needed
         content = fingerprint(
             self.model, depths, c=c, f_kappa=f_kappa, windows=windows, enough_force=reach.enough_force,
-            lines=None if borders is None else borders.rest, density_kg_per_m3=density_kg_per_m3,
+            lines=lines, density_kg_per_m3=density_kg_per_m3,
         )  # fmt: skip
         self.models = SiteModels(usual=self.model, c=c, f_kappa=f_kappa, fingerprint=content)
         times = dict(zip(self.depths, plan.times, strict=True))
@@ -100,7 +188,6 @@ class SiteSimulations:
 
     @property
     def spent(self) -> bool:
-        """Whether the simulations have used up the work budget of the diagnosis."""
         return self.work.spent
 
     def close(self) -> None:
@@ -130,7 +217,7 @@ class SiteSimulations:
         key = self.models.key(m, ())
         curves = self.curves(m)
         if key not in self._kinematics:  # the curves were cached by an earlier run
-            values = self.solver.memo.displacements(key)
+            values = self.solver.memo.read(f"{key}-nodes", lambda stored: stored["values"].astype(float))
             if values is None:
                 self._known[key] = self._solved(key, m, ())
             else:
@@ -182,8 +269,8 @@ class SiteSimulations:
 
     def _kept(self, key: str, m: float, ingredients: Ingredients) -> Curves | None:
         """Curves kept by an earlier run, which count and lead later solves as in that run."""
-        found = self.solver.memo.curves(key, n_depths=len(self.depths))
-        if found is None:
+        found = self.solver.memo.read(key, SolvedCurves.of)
+        if found is None or len(found.curves.depth) != len(self.depths) + 1:
             return None
         self.work.total += found.work
         self.solver.resume(key, ingredients)
@@ -214,7 +301,7 @@ class SiteSimulations:
                 values = np.concatenate([values, *[values[-1:]] * len(further)])
                 kinematics = self.table.kinematics(solve.model, curves.depth, values)
             self._kinematics[key] = kinematics
-            self.solver.memo.keep_displacements(key, values)
+            self.solver.memo.write(f"{key}-nodes", {"values": values.astype(np.float32)})
         self.solver.keep(key, ingredients, solve.result.levels)
         found = SolvedCurves(curves, solve.work, len(self.depths) if is_enough else n_reached)
         self._noted(found, m, ingredients)

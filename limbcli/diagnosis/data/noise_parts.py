@@ -12,19 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.diagnosis.data.layer_rows import layer_noise
-from limbcli.diagnosis.data.rows import TRAVEL_DEVIATION, SiteReadings, SiteRows, Stacked, travel_zero, within
-from limbcli.diagnosis.explanations.model.noise_covariance import (
-    NoisePart,
-    common,
-    correlated,
-    independent,
-    of_groups,
-)
+from limbcli.diagnosis.data.rows import LAYER, TRAVEL_DEVIATION, SiteReadings, SiteRows, SmoothDepth, within
+from limbcli.diagnosis.explanations.noise import NoisePart, common, correlated, independent, of_groups
 from limbcli.effects.reading import Protocol
-from limbcli.measurement.indentation import Levels
 from limbcli.measurement.map_noise import PixelNoise
 from limbcli.model import Array, IntArray
+from limbcli.site_model.layer_readings import LayerReadings
 
 GAIN_OF_SPEEDS = "gain of all speeds"
 COMPRESSIBILITY = "model: f-kappa"
@@ -54,9 +47,12 @@ IN_MEAN = 0.07  # standard deviation of ln mean speed per unit of strain, where 
 _BESIDE_UNSEEN = 0.15
 BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1  # name, and smallest fraction of it
 _TOUCHES, _WHOLE = 1.5, 0.95  # adjacent: distance of centres in sides of a part; complete: fraction of pixels
-FEWEST_SMOOTH = 4  # fewest levels for a smooth depth-force curve
 USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
-_STEEP, _STRAIGHT = 0.01, 10.0  # range of `SmoothDepth.unit`, as a multiple of the largest force
+FIRST_TOUCH = "measurement: layers at first touch"
+# Standard deviation of a layer's thickness from the model error: fractions of its thinning and of the depth.
+# On a block 16 mm thick, indented by 4 mm, tet10 meshes with edges of 5 to 9 mm and of 3 to 6 mm differ by
+# 0.07 mm for a border 1.5 mm below the skin at rest, and by 0.02 to 0.06 mm for borders at 4 to 10 mm.
+_OF_THINNING, _OF_DEPTH = 0.05, 0.02
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +78,9 @@ class KnownErrors:
 
     errors : for all rows of the level table; map_share : factor on the usual model error in maps
     map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
-    thickness : mm, skin to bone; bone_as_shown : see `SiteData`
+    thickness : mm, skin to bone
+    bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
+    misplaces both
     """
 
     errors: Sequence[ModelError] = ()
@@ -171,28 +169,27 @@ def _side_correlation(noise: PixelNoise, apart: Array, size: float, pitch: float
 
 
 def noise_parts(
-    seen: SiteReadings, protocol: Protocol, stacked: Stacked, slope: Array, keep: IntArray, *,
-    maps: MapNoise | None, model: KnownErrors,
+    seen: SiteReadings, rows: SiteRows, slope: Array, *, maps: MapNoise | None, model: KnownErrors
 ) -> list[NoisePart]:  # fmt: skip
     """All noise parts of a site's data.
 
     slope (n,) : change of each datum with depth; maps : noise of the parts of maps, if there are any
     """
-    noise, rows, y, own = seen.noise, stacked.rows, stacked.y, stacked.own
+    noise, protocol, keep = seen.noise, seen.protocol, seen.keep
     source, is_map = noise.source, rows.among("map")
     level = np.minimum(rows.level, len(protocol) - 1)
     exact = (protocol.force == 0.0) & (protocol.depth == 0.0)
     by_depth = np.where(exact[level], 0.0, slope) * noise.depth
     parts = [
-        independent("measurement: own error of each reading", np.where(is_map, 0.0, own), source=source),
+        independent("measurement: own error of each reading", np.where(is_map, 0.0, rows.own), source=source),
         of_groups("measurement: depth, in all channels of a level", by_depth, rows.level, source=source),
     ]
     if is_map.any() and maps is not None:
         mine = rows.where(is_map)
         parts += [
-            within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, own[is_map]), source),
+            within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, mine.own), source),
             within(IN_MAPS, is_map, maps.of_model(mine, model.map_share), "computed"),
-            within(BESIDE, is_map, maps.beside_unseen(mine, own[is_map]), "assumed"),
+            within(BESIDE, is_map, maps.beside_unseen(mine, mine.own), "assumed"),
             of_groups("measurement: speeds of a level", np.where(is_map, noise.swe_level_fraction, 0.0),
                       rows.level, source=source),
         ]  # fmt: skip
@@ -200,7 +197,7 @@ def noise_parts(
     if speeds.any():
         parts.append(common(GAIN_OF_SPEEDS, np.where(speeds, COMMON_GAIN, 0.0), source="assumed"))
     for each in model.errors:
-        direction = _model_direction(rows, y, each.log_force[keep], each.log_speed[keep])
+        direction = _model_direction(rows, each.log_force[keep], each.log_speed[keep])
         pressed = protocol.depth[level]  # 0 at rest: no error there
         shift = each.depth * (pressed > 0) + each.strain * pressed
         direction = direction + shift * np.where(rows.among("travel"), 0.0, slope)
@@ -209,7 +206,7 @@ def noise_parts(
         else:
             along, alike = rows.level.astype(float), each.correlation
             parts.append(correlated(each.name, direction, along, correlation=alike, source="computed"))
-    parts += layer_noise(seen.layers, protocol, rows, y, source)
+    parts += layer_noise(seen.layers, protocol, rows, source)
     if seen.held is not None:
         covariance = seen.held.covariance
         parts.append(within("measurement: forces in holds", rows.among("hold"), covariance, source))
@@ -219,15 +216,15 @@ def noise_parts(
     ]  # fmt: skip
     if (travels := rows.among("travel")).any():
         # of the travel reading and the depth at the reference level; a depth of 0 is zero by definition
-        moved = protocol.depth[travel_zero(seen.levels, keep)] != 0.0
+        moved = protocol.depth[seen.travel_from] != 0.0
         zero = np.hypot(TRAVEL_DEVIATION, noise.depth if moved else 0.0)
         parts.append(common("measurement: zero of the travel", zero * travels, source=source))
     return parts
 
 
-def _model_direction(rows: SiteRows, y: Array, log_force: Array, log_speed: Array) -> Array:
+def _model_direction(rows: SiteRows, log_force: Array, log_speed: Array) -> Array:
     out, forces, speeds = np.zeros(len(rows)), rows.among("force"), rows.among("swe", "map")
-    out[forces] = y[forces] * log_force[rows.level[forces]]
+    out[forces] = rows.y[forces] * log_force[rows.level[forces]]
     out[speeds] = np.nan_to_num(log_speed[rows.level[speeds], rows.part[speeds]])
     return out
 
@@ -258,63 +255,44 @@ def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array
     return out
 
 
-def readings(levels: Levels) -> Protocol:
-    """The levels that have a force and a depth."""
-    known = np.isfinite(levels.force) & np.isfinite(levels.depth)
-    unloading = tuple((~levels.loading[known]).tolist())
-    return Protocol(levels.force[known], levels.depth[known], levels.hold[known], unloading=unloading)
+def layer_slopes(layers: LayerReadings | None, protocol: Protocol, place: Array, rows: SiteRows) -> Array:
+    """Derivative of each datum with depth (n,), 0 for other channels.
+
+    place (n_levels,) : ln(1 + F/unit) of the smooth depth, in which layers thin linearly
+    """
+    out = np.zeros(len(rows))
+    for layer, members in _members(rows):
+        assert layers is not None
+        levels = rows.level[members]
+        x = np.r_[0.0, place[levels]]
+        depth = np.r_[0.0, np.maximum(protocol.depth[levels], 0.0)]
+        thickness = np.r_[layers.thickness[0, layer], rows.y[members]]
+        span = float(x @ x)
+        if span <= 0:
+            continue
+        rate, thinning = float(x @ depth) / span, float(x @ (thickness - thickness[0])) / span
+        out[members] = thinning / rate if rate > 0 else 0.0
+    return out
 
 
-def deepest(protocol: Protocol) -> float:
-    """Largest depth (mm) of a smooth curve through the readings, limited to the largest reading."""
-    smooth, read = SmoothDepth.through(protocol), float(np.max(protocol.depth, initial=0.0))
-    if len(protocol) < FEWEST_SMOOTH:
-        return read
-    return min(float(np.max(smooth.at(protocol.force))), read)
+def layer_noise(
+    layers: LayerReadings | None, protocol: Protocol, rows: SiteRows, source: str
+) -> list[NoisePart]:
+    """Common errors of the readings of one layer: of its thickness at first touch, and of the model."""
+    parts = []
+    for layer, members in _members(rows):
+        assert layers is not None
+        first, model = np.zeros(len(rows)), np.zeros(len(rows))
+        first[members] = layers.deviation * layers.growth(np.maximum(rows.y[members], 0.0), layer)
+        thinner = layers.thickness[0, layer] - rows.y[members]
+        depth = np.maximum(protocol.depth[rows.level[members]], 0.0)
+        model[members] = np.hypot(_OF_THINNING * thinner, _OF_DEPTH * depth)
+        name = layers.names[layer]
+        parts.append(common(f"{FIRST_TOUCH}, {name}", first, source=source))
+        parts.append(common(f"model: layers, {name}", model, source="assumed"))
+    return parts
 
 
-@dataclass(frozen=True)
-class SmoothDepth:
-    """depth = start + rate ln(1 + F/unit), in mm, mm, N: a force that grows linearly, then exponentially."""
-
-    start: float
-    rate: float
-    unit: float
-
-    @staticmethod
-    def through(protocol: Protocol) -> SmoothDepth:
-        """Least-squares fit to the depths, the noisier reading.
-
-        >>> force = np.linspace(0.0, 20.0, 11)
-        >>> found = SmoothDepth.through(Protocol(force, 3.0 * np.log1p(force / 2.0), force))
-        >>> round(found.rate, 2), round(found.unit, 2)
-        (3.0, 2.0)
-        """
-        largest = max(float(np.max(protocol.force, initial=0.0)), 1e-3)
-        if len(protocol) < FEWEST_SMOOTH or np.ptp(protocol.force) <= 0:
-            rate = max(float(np.ptp(protocol.depth)), 1e-9) / np.log1p(1.0 / _STRAIGHT)
-            return SmoothDepth(0.0, rate, _STRAIGHT * largest)
-        best, found = np.inf, SmoothDepth(0.0, 1e-9, largest)
-        for unit in largest * np.geomspace(_STEEP, _STRAIGHT, 61):
-            x = _place(protocol.force, unit)
-            rate, start = np.polyfit(x, protocol.depth, 1)
-            left = float(np.sum((protocol.depth - start - rate * x) ** 2))
-            if rate > 0 and left < best:
-                best, found = left, SmoothDepth(float(start), float(rate), float(unit))
-        return found
-
-    def at(self, force: Array) -> Array:
-        """mm at these forces."""
-        return self.start + self.rate * self.place(force)
-
-    def slope(self, force: Array) -> Array:
-        """N/mm at these forces."""
-        return np.asarray((np.maximum(force, 0.0) + self.unit) / self.rate)
-
-    def place(self, force: Array) -> Array:
-        """Coordinate along the curve: ln(1 + F/unit)."""
-        return _place(force, self.unit)
-
-
-def _place(force: Array, unit: float) -> Array:
-    return np.log1p(np.maximum(force, 0.0) / unit)
+def _members(rows: SiteRows) -> list[tuple[int, IntArray]]:
+    mine = rows.among(LAYER)
+    return [(k, np.flatnonzero(mine & (rows.part == k))) for k in np.unique(rows.part[mine]).tolist()]

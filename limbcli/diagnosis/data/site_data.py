@@ -1,37 +1,36 @@
-"""A site's measurement as input of the diagnosis: stacked channels, their noise, and groups of data."""
+"""A site's measurement as input of the diagnosis: stacked channels, noise, groups; several sites joined."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from limbcli.case import StatedNoise
-from limbcli.diagnosis.data.held_forces import HeldForces
-from limbcli.diagnosis.data.layer_rows import layer_slopes
 from limbcli.diagnosis.data.noise_parts import (
-    FEWEST_SMOOTH,
+    GAIN_OF_SPEEDS,
     STRAIN,
     KnownErrors,
     MapNoise,
-    SmoothDepth,
     depth_slopes,
+    layer_slopes,
     noise_parts,
-    readings,
 )
 from limbcli.diagnosis.data.rows import (
+    FEWEST_SMOOTH,
     LAYER,
-    ExtraMeasurement,
     SiteReadings,
     SiteRows,
+    SmoothDepth,
     measured_rows,
-    travel_zero,
 )
 from limbcli.diagnosis.data.windows import Windows, pitch_of
-from limbcli.diagnosis.explanations.model.forward_model import Data, Mask
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise, common
+from limbcli.diagnosis.explanations.forward_model import Data, Mask
+from limbcli.diagnosis.explanations.noise import ASSUMED, Noise, NoisePart, common
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
 from limbcli.measurement.elastography import SweMap
@@ -54,27 +53,27 @@ _BY_LEVELS = ("force", "swe", "map")  # channels that are divided into thirds, a
 class SiteData:
     """The data of one site, and the layout of a prediction for them.
 
-    channels, missing : measured, and not measured; slope (n,) : change of each datum with depth
-    depth_error : mm, standard deviation of a depth reading
-    travel_from : reference level of the probe's travel
-    strain_deviation : relative standard deviation of all strains, the noise part `STRAIN`
-    bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
-    misplaces both
+    seen : the measurement; model : what is known of the models' errors
+    slope (n,) : change of each datum with depth
     """
 
     name: str
-    protocol: Protocol
+    seen: SiteReadings
+    model: KnownErrors
     rows: SiteRows
     data: Data
-    channels: tuple[str, ...]
-    missing: tuple[str, ...]
-    held: HeldForces | None
-    extras: tuple[ExtraMeasurement, ...]
     slope: Array
-    depth_error: float
-    travel_from: int
-    strain_deviation: float
-    bone_as_shown: bool
+    protocol: Protocol
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Those that were measured; mean speeds are part of maps."""
+        several = self.rows.channels()
+        return (*several, *(("swe",) if "map" in several else ()))
+
+    @property
+    def missing(self) -> tuple[str, ...]:
+        return tuple(each for each in _CHANNELS if each not in self.channels)
 
     def with_share(self, name: str, share: float) -> SiteData:
         """The data with the noise part `name` scaled to this fraction of its assumed size."""
@@ -97,9 +96,11 @@ class SiteData:
             for step in (_STRAIN_STEP, -_STRAIN_STEP)
         )
         direction = np.where(first != 0.0, (more - less) / (2 * _STRAIN_STEP), 0.0)
-        moved = self.strain_deviation * direction
-        noise = self.data.noise.with_part(common(STRAIN, moved, source=part.source))
-        return replace(self, data=replace(self.data, noise=noise))
+        deviation = next((each.strain for each in self.model.errors if each.name == STRAIN), 0.0)
+        moved = deviation * direction
+        noise, new = self.data.noise, common(STRAIN, moved, source=part.source)
+        parts = (new if each is part else each for each in noise.parts)
+        return replace(self, data=replace(self.data, noise=noise.with_parts(parts)))
 
     def predict(self, curves: Curves, reading: Reading) -> Array:
         """The prediction (n,) of every datum at the depths that were read.
@@ -117,7 +118,7 @@ class SiteData:
         out = self._laid_out(read(curves, moved, reading, with_speeds=speeds), curves, reading)
         out = out - self.slope * further[self._levels]
         if "travel" in self._places:
-            out[self._places["travel"][0]] += further[self.travel_from]
+            out[self._places["travel"][0]] += further[self.seen.travel_from]
         if "map" in self._places:
             places, levels, parts = self._places["map"]
             smoothed = replace(self.protocol, depth=self.protocol.depth + self._to_smooth)
@@ -143,13 +144,13 @@ class SiteData:
         """
         found = np.zeros(len(self.protocol))
         loading = ~np.array(self.protocol.unloading or np.zeros(len(found)), dtype=bool)
-        if loading.sum() < FEWEST_SMOOTH or self.depth_error <= 0:
+        if loading.sum() < FEWEST_SMOOTH or self.seen.noise.depth <= 0:
             return found
         force, depth, hold = (
             each[loading] for each in (self.protocol.force, self.protocol.depth, self.protocol.hold)
         )
         smooth = SmoothDepth.through(Protocol(force, depth, hold)).at(self.protocol.force)
-        most = _DEPTH_OUTLIER_SD * self.depth_error
+        most = _DEPTH_OUTLIER_SD * self.seen.noise.depth
         off = np.clip(smooth - self.protocol.depth, -most, most)
         return np.where(loading & (self.protocol.depth > 0), off, found)
 
@@ -164,7 +165,7 @@ class SiteData:
         Limited to `_DEPTH_OUTLIER_SD` standard deviations of the depth.
         """
         found = np.zeros(len(self.protocol))
-        if self.depth_error <= 0:
+        if self.seen.noise.depth <= 0:
             return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
@@ -175,18 +176,19 @@ class SiteData:
         if not known.any():
             return found
         there = depth_at(curves, elastic[known] * wanted[known] / borne[known])
-        most = _DEPTH_OUTLIER_SD * self.depth_error
+        most = _DEPTH_OUTLIER_SD * self.seen.noise.depth
         found[known] = np.clip((there - depth[known]) / reading.depth_gain, -most, most)
         return found
 
     def _laid_out(self, shown: Readout, curves: Curves, reading: Reading) -> Array:
+        stretched = reading.depth_gain if self.model.bone_as_shown else 1.0
         seen: dict[str, Array] = {
-            "force": shown.force, "travel": shown.travel - shown.travel[self.travel_from],
-            "skin-bone": np.array([shown.thickness * (reading.depth_gain if self.bone_as_shown else 1.0)]),
+            "force": shown.force, "travel": shown.travel - shown.travel[self.seen.travel_from],
+            "skin-bone": np.array([shown.thickness * stretched]),
         }  # fmt: skip
-        if self.held is not None:
-            seen["hold"] = self.held.predict(curves, reading)
-        seen |= {each.name: each.see(curves, reading, self.protocol) for each in self.extras}
+        if self.seen.held is not None:
+            seen["hold"] = self.seen.held.predict(curves, reading)
+        seen |= {each.name: each.see(curves, reading, self.protocol) for each in self.seen.extras}
         out = np.empty(len(self.rows))
         for channel, (places, levels, parts) in self._places.items():
             if channel in ("swe", "map"):
@@ -206,30 +208,21 @@ class SiteData:
 
 def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors()) -> SiteData:
     """Stack the channels that this measurement has."""
-    levels, noise, windows, maps = seen.levels, seen.noise, seen.windows, seen.maps
-    keep = np.asarray(np.flatnonzero(np.isfinite(levels.force) & np.isfinite(levels.depth)), dtype=np.int64)
-    protocol = readings(levels)
-    smooth, stacked = SmoothDepth.through(protocol), measured_rows(seen, keep, protocol)
-    rows, y = stacked.rows, stacked.y
-    slope = depth_slopes(protocol, rows, y, model.map_slopes)
-    slope = slope + layer_slopes(seen.layers, protocol, smooth.place(protocol.force), rows, y)
+    protocol, noise, windows = seen.protocol, seen.noise, seen.windows
+    smooth, rows = SmoothDepth.through(protocol), measured_rows(seen)
+    slope = depth_slopes(protocol, rows, rows.y, model.map_slopes)
+    slope = slope + layer_slopes(seen.layers, protocol, smooth.place(protocol.force), rows)
     strain = smooth.at(protocol.force) / model.thickness
-    of_maps = None if maps is None else map_noise(windows, maps, noise, strain)
-    parts = noise_parts(seen, protocol, stacked, slope, keep, maps=of_maps, model=model)
+    of_maps = None if seen.maps is None else map_noise(windows, seen.maps, noise, strain)
+    parts = noise_parts(seen, rows, slope, maps=of_maps, model=model)
     data = Data(
-        y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
+        rows.y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
         groups=_groups(rows, protocol, windows), blocks=_blocks(rows),
         series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
         place=_place(rows, windows),
     )  # fmt: skip
-    channels = (*rows.channels(), *(("swe",) if "map" in rows.channels() else ()))
     return SiteData(
-        name=name, protocol=protocol, rows=rows, data=data, channels=channels,
-        missing=tuple(each for each in _CHANNELS if each not in channels), held=seen.held,
-        extras=tuple(seen.extras), slope=slope, depth_error=noise.depth,
-        travel_from=travel_zero(levels, keep),
-        strain_deviation=next((each.strain for each in model.errors if each.name == STRAIN), 0.0),
-        bone_as_shown=model.bone_as_shown,
+        name=name, seen=seen, model=model, rows=rows, data=data, slope=slope, protocol=protocol
     )  # fmt: skip
 
 
@@ -275,3 +268,67 @@ def _blocks(rows: SiteRows) -> dict[str, Mask]:
     blocks = {f"levels {k + 1}, {k + 4}, ...": rows.level % 3 == k for k in range(3)}
     several = [channel for channel in rows.channels() if len(rows.channels()) > 1]
     return blocks | {f"channel {each}": rows.among(each) for each in several if each in _BY_LEVELS}
+
+
+def joined(sites: Sequence[SiteData]) -> Data:
+    """The data of all sites, concatenated; those of a single site unchanged."""
+    if len(sites) == 1:
+        return sites[0].data
+    several = [site.data for site in sites]
+    channel, series = (
+        tuple(f"{name} {site.name}" for site in sites for name in getattr(site.data, field))
+        for field in ("channel", "series")
+    )
+    place = [np.full((len(data), 2), np.nan) if data.place is None else data.place for data in several]
+    groups, blocks = _groups_and_blocks(sites)
+    return Data(
+        np.concatenate([data.y for data in several]), channel,
+        np.concatenate([data.order for data in several]), _noise(several), groups=groups, blocks=blocks,
+        series=series, place=np.concatenate(place),
+    )  # fmt: skip
+
+
+def slices(sites: Sequence[SiteData]) -> list[slice]:
+    """Position of each site's data in the joint data."""
+    ends = np.cumsum([0, *(len(site.data) for site in sites)])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
+def _noise(several: Sequence[Data]) -> Noise:
+    parts = []
+    for name in dict.fromkeys(part.name for data in several for part in data.noise.parts):
+        absent = [NoisePart(name, np.zeros((n, n)), "", np.zeros(n)) for n in map(len, several)]
+        found = [
+            next((part for part in data.noise.parts if part.name == name), none)
+            for data, none in zip(several, absent, strict=True)
+        ]
+        sources = [part.source for part in found if part.source]
+        source = ASSUMED if ASSUMED in sources else sources[0]  # the least known
+        if name == GAIN_OF_SPEEDS:
+            directions = [part.direction for part in found if part.direction is not None]
+            parts.append(common(name, np.concatenate(directions), source=source))
+        else:
+            parts.append(NoisePart(name, block_diag(*(part.covariance for part in found)), source))
+    stated = [data.noise.stated for data in several]
+    return Noise(tuple(parts), ASSUMED if ASSUMED in stated else stated[0])
+
+
+def _groups_and_blocks(sites: Sequence[SiteData]) -> tuple[dict[str, Mask], dict[str, Mask]]:
+    """Groups are of one site each; blocks of the same name are held out at all sites together."""
+    places = slices(sites)
+    nothing = np.zeros(places[-1].stop, dtype=bool)
+
+    def wide(inside: slice, mask: Mask | bool = True) -> Mask:
+        found = nothing.copy()
+        found[inside] = mask
+        return found
+
+    groups: dict[str, Mask] = {}
+    blocks: dict[str, Mask] = {}
+    for site, inside in zip(sites, places, strict=True):
+        groups[f"site {site.name}"] = wide(inside)
+        groups |= {f"{site.name}: {name}": wide(inside, mask) for name, mask in site.data.groups.items()}
+        for name, mask in site.data.blocks.items():
+            blocks[name] = blocks.get(name, nothing) | wide(inside, mask)
+        blocks[f"site {site.name}"] = wide(inside)
+    return groups, blocks

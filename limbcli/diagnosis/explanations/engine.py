@@ -16,19 +16,29 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.conclusions.blind_spots import BlindSpot, blind_spot
-from limbcli.diagnosis.explanations.conclusions.estimates import Estimates, estimates, sizes_95
-from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep, ranked
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis, Shrink, Word
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence, least_by_chance
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Facts, Fitted, ForwardModel
-from limbcli.diagnosis.explanations.model.linear import LinearFit
-from limbcli.diagnosis.explanations.model.noise_covariance import CommonError, common_errors
-from limbcli.diagnosis.explanations.predictive_check import Check, checked
-from limbcli.diagnosis.explanations.probabilities import Explained, PriorOdds, containing, credible, named
-from limbcli.diagnosis.explanations.residuals import Roughness, held_out_error, over_shared, roughness
-from limbcli.diagnosis.explanations.search import Search
+from limbcli.diagnosis.explanations.conclusions import (
+    BlindSpot,
+    Diagnosis,
+    NextStep,
+    Shrink,
+    Word,
+    blind_spot,
+    ranked,
+)
+from limbcli.diagnosis.explanations.estimates import Estimates, estimates, sizes_95
+from limbcli.diagnosis.explanations.forward_model import Explanation, ForwardModel
+from limbcli.diagnosis.explanations.laplace import Posterior
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence, least_by_chance
+from limbcli.diagnosis.explanations.noise import CommonError, common_errors
+from limbcli.diagnosis.explanations.residuals import (
+    Check,
+    Roughness,
+    checked,
+    held_out_error,
+    over_shared,
+    roughness,
+)
+from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
 from limbcli.errors import LimbError
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress
@@ -64,15 +74,15 @@ class _Run:
 
     def run(self) -> Diagnosis:
         model = self.forward_model
-        self.facts: dict[str, Facts] = {each.name: each for each in model.candidates}
+        facts = {each.name: each for each in model.candidates}
         base = model.fit((), {})
         whiten = Whitener.of(model.data.noise.covariance)
-        state = self._state(base, whiten)
+        state = base.whitened(model.data.y, whiten)
         if state.nu >= 1:
             self.rough = roughness(state, whiten, series=model.data.all_series(), order=model.data.order)
         assumed = model.data.noise.is_assumed
         relative = assumed or (self.rough is not None and self.rough.p < decisions.ROUGH_P)
-        self.search = Search(model, PriorOdds(0), self.facts, relative, self.progress)
+        self.search = Search(model, PriorOdds(0), facts, relative, self.progress)
         nothing = self.search.fitted(base)
         self.search.settled.add(())
         if state.nu < 1:
@@ -125,11 +135,11 @@ class _Run:
     def _of_any_size(self, chosen: Explanation) -> list[str]:
         """Effects whose sizes all have their null value in their 95 % intervals. They may be probable all the
         same where the models err in few of many data, as beside bone in maps."""
-        model = self.forward_model
-        intervals = self._averaged(self.search.known[chosen], imaged=bool(model.data.imaged.any())).intervals
+        intervals = self._averaged(self.search.known[chosen]).intervals
         found = []
         for name in chosen:
-            sizes = [(prior.mean, *intervals[size]) for size, prior in model.size_priors(name).items()]
+            priors = self.search.linear[()].best(name).direction.priors
+            sizes = [(prior.mean, *intervals[size]) for size, prior in priors.items()]
             if sizes and all(low <= null <= high for null, low, high in sizes):
                 found.append(name)
         return found
@@ -143,11 +153,6 @@ class _Run:
         }  # fmt: skip
         return float(np.exp(ln[()] - np.logaddexp.reduce(list(ln.values()))))
 
-    def _state(self, fitted: Fitted, whiten: Whitener, *, as_it_stands: bool = False) -> LinearFit:
-        """The fit, whitened."""
-        residual = whiten(self.forward_model.data.y - fitted.prediction)
-        return LinearFit.of(residual, whiten(fitted.jacobian), as_it_stands=as_it_stands)
-
     def _left_of(self, each: Explained) -> Check:
         """Check of an explanation, or of the larger of its parts that was fitted."""
         known = [found for e, found in self.search.known.items() if set(e) <= set(each.explanation)]
@@ -157,7 +162,7 @@ class _Run:
         key = found.fitted.explanation
         if key not in self.checks:
             whiten = self.search.whitener(found)
-            state = self._state(found.fitted, whiten, as_it_stands=True)
+            state = found.fitted.whitened(self.forward_model.data.y, whiten, as_it_stands=True)
             self.checks[key] = checked(self.forward_model.data, state, whiten, self._rng(2))
         return self.checks[key]
 
@@ -168,7 +173,7 @@ class _Run:
         members = credible(self.several)
         testable = word != "untestable" or bool(search.linear[()].added)
         shown = chosen or (best.explanation if word in ("unexplained", "ambiguous") else ())
-        names = [name for name in self.facts if name in search.linear[()].added]
+        names = [name for name in search.facts if name in search.linear[()].added]
         base = search.known[()]
         return Diagnosis(
             verdict=word, reason=reason, relative=search.relative, base=base.fitted,
@@ -178,8 +183,8 @@ class _Run:
             check=self._checked(base) if testable else None,
             left=self._left_of(best) if testable else None, shrink=self._shrink(shown),
             blind_spots=self._blind_spots(), next_steps=self._next_steps(members) if self.propose else (),
-            not_evaluated=search.not_evaluated, roughness=self.rough, facts=self.facts, seed=self.seed,
-            sizes=self._sizes(names),
+            not_evaluated=search.not_evaluated, roughness=self.rough, facts=search.facts, seed=self.seed,
+            sizes=sizes_95(search.known, search.linear[()]),
             common_errors={
                 each.explanation: self._common(each.posterior) for each in self.several if each.posterior
             },
@@ -193,34 +198,27 @@ class _Run:
             shown = shown[:-1]
         stages = [known[shown[:n]] for n in range(len(shown) + 1) if shown[:n] in known]
         held_out = over_shared([held_out_error(data, each.fitted) for each in stages], data.blocks)
-        imaged = bool(data.imaged.any())
-        alone = (estimates([(1.0, each)], imaged=imaged) for each in stages[:-1])
-        values = [*alone, self._averaged(stages[-1], imaged=imaged)]
+        alone = (estimates([(1.0, each)], imaged=bool(data.imaged.any())) for each in stages[:-1])
+        values = [*alone, self._averaged(stages[-1])]
         whiten, found = Whitener.of(data.noise.covariance), []
         for each, held, own in zip(stages, held_out, values, strict=True):
-            state = self._state(each.fitted, whiten, as_it_stands=True)
+            state = each.fitted.whitened(data.y, whiten, as_it_stands=True)
             z = (data.y - each.fitted.prediction) / data.deviation
             rms = {name: float(np.sqrt(np.mean(z[mask] ** 2))) for name, mask in data.channels().items()}
             one = each.fitted.explanation
             found.append(Shrink(one, chi2=state.chi2, nu=state.nu, rms=rms, held_out=held, estimates=own))
         return tuple(found)
 
-    def _averaged(self, mine: Posterior, *, imaged: bool) -> Estimates:
+    def _averaged(self, mine: Posterior) -> Estimates:
+        imaged = bool(self.forward_model.data.imaged.any())
         fits = [(each.probability, each.posterior) for each in self.several if each.posterior is not None]
         others = [(p, one) for p, one in fits if one is not mine and p > 1e-3]
         own = next(p for p, one in fits if one is mine)
         return estimates([(max(own, 1e-6), mine), *others], imaged=imaged)
 
-    def _sizes(self, names: Sequence[str]) -> dict[str, dict[str, tuple[float, float]]]:
-        nulls = {
-            name: {size: prior.mean for size, prior in self.forward_model.size_priors(name).items()}
-            for name in names
-        }
-        return sizes_95(names, self.search.known, self.search.linear[()], nulls)
-
     def _common(self, found: Posterior) -> tuple[CommonError, ...]:
-        whiten = self.search.whitener(found)
-        return common_errors(self.forward_model.data.noise, whiten, self._state(found.fitted, whiten))
+        whiten, data = self.search.whitener(found), self.forward_model.data
+        return common_errors(data.noise, whiten, found.fitted.whitened(data.y, whiten))
 
     def _blind_spots(self) -> tuple[BlindSpot, ...]:
         """Detectability of every candidate at its typical size, the least detectable first."""
@@ -229,8 +227,8 @@ class _Run:
         odds = (1.0 - self.limit) / max(self.limit, 1e-12)
         needed = math.log(max(odds, 1e-12)) - self.search.odds.ln_single if linear.added else 0.0
         for name in linear.added:
-            added, plausible = linear.best(name), self.facts[name].typical
-            typical = np.array([plausible.get(size, 0.0) for size in added.direction.names])
+            added, plausible = linear.best(name), self.search.facts[name].typical
+            typical = np.array([plausible.get(size, 0.0) for size in added.direction.priors])
             if np.any(typical):
                 found.append(blind_spot(name, added, typical, nothing, whiten, ln_factor=needed))
         return tuple(sorted(found, key=lambda spot: -spot.detectable_times_typical))

@@ -7,8 +7,8 @@ The change by an effect of the material law is evaluated at the stored deformati
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Callable
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,35 +16,25 @@ from scipy.interpolate import CubicSpline
 
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.layer_rows import line_shift
 from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.effects.effect import Effect, Parameter, Theta, point_name
 from limbcli.effects.ingredients import Ingredients, touches_loads
+from limbcli.effects.stiffness_places import Places
 from limbcli.errors import SolveError
-from limbcli.model import Array
+from limbcli.model import Array, LimbModel
 from limbcli.progress import Progress
 
 _REMEMBERED = 8  # number of parameter values cached
 _STEPS_ONE = (0.5, 1.0, 2.0, 4.0)  # spline knots of a one-sided parameter, in units of its start value
 _STEPS_TWO = (-2.0, -1.0, 1.0, 2.0)  # the same for a two-sided parameter
 _MOST_SHOWN = 2 / 3  # fraction of the speeds shown without an effect that must be shown with it
+_SAMPLES = 240  # number of sampling points along the beam
+_LEFT = 0.03  # smallest depth of a line under load, as a fraction of its depth at rest
+_BEYOND = 2.0  # length of the compressed column where no bone is known, as a multiple of the deepest border
 _ROUNDED = 0.2  # smoothing width of |x| about 0, in units of the start value: a degree of tilt
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """Change of ln force and ln speed by an effect at one point of its grid, as a sum over its parameters.
-
-    parts : by parameter, the change at a value of it
-    """
-
-    parts: Mapping[str, Callable[[float], Array]]
-
-    def at(self, theta: Theta) -> Array:
-        total: Array | float = 0.0
-        for name, part in self.parts.items():
-            total = total + part(theta[name])
-        return np.asarray(total)
+Change = Callable[[Theta], Array]  # of ln force and ln speed (`logs`), at values of an effect's parameters
 
 
 def _two_sided(p: Parameter, there: Array, other: Array) -> Callable[[float], Array]:
@@ -79,40 +69,6 @@ def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Arra
     return at
 
 
-@dataclass(eq=False)
-class FieldChange:
-    """The same for an effect that is a factor on all stiffnesses, at any values of its parameters.
-
-    missed : (n, 1 + n_parts) error of the stored deformation against a simulation at `start`, scaled in
-    proportion to the effect's first parameter; None if there was no simulation
-    """
-
-    simulations: SiteSimulations
-    effect: Effect
-    point: Theta
-    m: float
-    missed: Array | None = None
-    _last: list[tuple[tuple[float, ...], Array]] = field(default_factory=list)
-
-    def at(self, theta: Theta) -> Array:
-        names = [p.name for p in self.effect.parameters]
-        values = tuple(float(theta.get(name, self.effect.start[name])) for name in names)
-        for known, change in self._last:
-            if known == values:
-                return change
-        change = self._at(dict(zip(names, values, strict=True)))
-        self._last = [*self._last[-_REMEMBERED:], (values, change)]
-        return change
-
-    def _at(self, theta: Theta) -> Array:
-        size = self.effect.sizes[0]
-        moved = shifted(self.simulations, self.m, ((self.effect, {**self.point, **theta}),))
-        moved = gaps_filled(moved)
-        if self.missed is not None:
-            moved = moved + (theta[size.name] - size.null) / (size.start - size.null) * self.missed
-        return moved
-
-
 class Changes:
     """Changes by effects in one site's simulations.
 
@@ -124,9 +80,9 @@ class Changes:
         self.simulations, self.progress = simulations, progress
         self.m = 2.0
         self.not_simulated: dict[str, str] = {}
-        self._known: dict[tuple[str, str], Change | FieldChange] = {}
+        self._known: dict[tuple[str, str], Change] = {}
 
-    def of(self, effect: Effect, point: Theta) -> Change | FieldChange:
+    def of(self, effect: Effect, point: Theta) -> Change:
         """Change by an effect at one point of its grid.
 
         Raises
@@ -140,19 +96,37 @@ class Changes:
             self._known[key] = self._solved_change(effect, point)
         return self._known[key]
 
-    def _solved_change(self, effect: Effect, point: Theta) -> Change | FieldChange:
+    def _solved_change(self, effect: Effect, point: Theta) -> Change:
         if effect.febio_only:
             raise only_febio(effect)
         self.progress.event("note", text=f"sensitivity to {effect.name} {point_name(point)}".rstrip())
         if effect.stiffness is not None:
-            field = FieldChange(self.simulations, effect, point, self.m)
-            # Layers depend on the deformation itself, so that a simulation is needed.
-            if effect.spreads or self.simulations.curves(self.m).log_line is not None:
-                field.missed = self._missed(effect, point, effect.sizes[0])
-            return field
+            return self._of_field(effect, point)
         of_solves = effect.new_mesh or touches_loads(effect, self.simulations.model)
         of = self._by_solving if of_solves else self._by_shifting
-        return Change({p.name: of(effect, point, p) for p in effect.parameters})
+        parts = [(p.name, of(effect, point, p)) for p in effect.parameters]
+        return lambda theta: np.asarray(sum(part(theta[name]) for name, part in parts))
+
+    def _of_field(self, effect: Effect, point: Theta) -> Change:
+        """Change by an effect that is a factor on all stiffnesses, at any values of its parameters.
+
+        The error of the stored deformation against a simulation is in proportion to the first parameter.
+        """
+        m, simulations, size, start = self.m, self.simulations, effect.sizes[0], effect.start
+        names = [p.name for p in effect.parameters]
+        # Layers depend on the deformation itself, so that a simulation is needed.
+        solves = effect.spreads or simulations.curves(m).log_line is not None
+        missed = self._missed(effect, point, size) if solves else None
+
+        @lru_cache(_REMEMBERED)
+        def at(*values: float) -> Array:
+            theta = dict(zip(names, values, strict=True))
+            moved = gaps_filled(shifted(simulations, m, ((effect, {**point, **theta}),)))
+            if missed is None:
+                return moved
+            return moved + (theta[size.name] - size.null) / (size.start - size.null) * missed
+
+        return lambda theta: at(*(float(theta.get(name, start[name])) for name in names))
 
     def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> Callable[[float], Array]:
         """In proportion to a simulation at the start value; for a two-sided parameter from one more, on the
@@ -236,6 +210,45 @@ def shifted(simulations: SiteSimulations, m: float, ingredients: Ingredients) ->
     if curves.log_line is None:
         return moved
     return np.column_stack([moved, line_shift(simulations.model, curves, ingredients)])
+
+
+def line_shift(model: LimbModel, curves: Curves, ingredients: Ingredients) -> Array:
+    """Approximate change of the lines' ln depths (n, n_lines) by effects, without a simulation.
+
+    Below the probe's centre the layers bear nearly the same pressure, like springs in series: tissue softer
+    by a factor is compressed more by that factor, and the probe's depth is redistributed accordingly. Effects
+    that are not a stiffness field do not move the lines. Simulations at one size and at the fitted size
+    correct the error of this estimate (`Changes`, `SiteCurves.repair`).
+
+    Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
+    18(4):e0284721.
+    """
+    assert curves.log_line is not None
+    below = np.exp(curves.log_line)
+    found = [each for each in ingredients if each[0].stiffness is not None]
+    if not found:
+        return np.zeros_like(below)
+    rest = below[0]
+    end = curves.thickness if curves.thickness > rest[-1] else _BEYOND * rest[-1]
+    z = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * end
+    places = Places(np.column_stack([np.zeros((_SAMPLES, 2)), -z]), model)
+    softer = np.ones(_SAMPLES)
+    for effect, theta in found:
+        assert effect.stiffness is not None
+        softer = softer / np.maximum(effect.stiffness(places, theta), 1e-6)
+    knots = np.r_[0.0, rest, end]
+    lost = np.column_stack([np.zeros(len(below)), rest - below, curves.depth])
+    of_part = np.searchsorted(knots, z, side="right") - 1
+    rates = np.diff(lost, axis=1) / np.diff(knots)
+    squeezed = np.maximum(rates[:, of_part], 0.0)
+
+    def left(weight: Array) -> Array:
+        """Depths (n, n_lines) of the lines in mm for this relative compression at each sampling point."""
+        lost = np.cumsum(weight, axis=1) / np.maximum(weight.sum(axis=1, keepdims=True), 1e-12)
+        share = np.array([np.interp(rest, z + 0.5 * end / _SAMPLES, row) for row in lost])
+        return np.maximum(rest - curves.depth[:, None] * share, _LEFT * rest)
+
+    return np.asarray(np.log(left(squeezed * softer) / left(squeezed)))
 
 
 def logs(curves: Curves) -> Array:

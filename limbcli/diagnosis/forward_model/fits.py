@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.optimize import least_squares
 
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Priors
+from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Priors
 from limbcli.diagnosis.forward_model.predictions import Predictions, Slot
 from limbcli.diagnosis.forward_model.surrogate import AtPoints
 from limbcli.errors import FitError, SolveError
@@ -32,8 +32,7 @@ def _guess(slot: Slot, start: Mapping[str, float]) -> float:
 
 
 class Fits:
-    """Fits by predictions.
-
+    """
     tissue : c (MPa) and m of the fit without effects, once known, from which others start
     """
 
@@ -54,10 +53,8 @@ class Fits:
 
         Raises
         ------
-        SolveError
-            If no initial guess has a solution.
-        FitError
-            If the prediction is not finite.
+        SolveError, FitError
+            If no initial guess has a solution; if the prediction is not finite.
         """
         predict = self.predictions
         slots, (low, high) = predict.slots(model.explanation), predict.bounds(model.explanation)
@@ -165,7 +162,7 @@ class Fits:
 
     def _tissues(self) -> list[tuple[float, float]]:
         """Initial guesses of (c, m): the result of the fit without effects, and a usual tissue."""
-        c = self.predictions.simulations.c
+        c = self.predictions.sites[0].simulations.c
         usual = [(c, 2.0), (c, 6.0)]
         if self.tissue is None:
             return usual

@@ -7,10 +7,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.diagnosis.data.noise_parts import USUAL_THICKNESS, SmoothDepth, maps_model_error
-from limbcli.diagnosis.data.rows import ExtraMeasurement
+from limbcli.diagnosis.data.noise_parts import USUAL_THICKNESS, maps_model_error
+from limbcli.diagnosis.data.rows import ExtraMeasurement, SmoothDepth
 from limbcli.diagnosis.data.site_data import SiteData
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Proposal
+from limbcli.diagnosis.explanations.forward_model import Fitted, Proposal
 from limbcli.diagnosis.forward_model.predictions import Predictions
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.effects.curves import Curves
@@ -29,7 +29,8 @@ _TURNS = ("anisotropy", "contraction")
 class Item:
     """A possible further measurement at a site.
 
-    see : prediction by a model (n,); deviation : standard deviation of the measurement (n,)
+    see : prediction by a model (n,); deviation : standard deviation of the measurement, or, if that is more,
+    of_force : as a fraction of the forces read on the way back
     model_error : covariance (n, n) of the model's error in it at a site, where this is relevant
     instead_of : the channel that already contains it, if it was measured
     given, meaning : key of a single number (`--measured KEY=VALUE`), and its meaning
@@ -38,48 +39,44 @@ class Item:
     name: str
     sentence: str
     see: See
-    deviation: Callable[[Protocol, int], Array]
+    deviation: float
     instead_of: str = ""
     given: str = ""
     meaning: str = ""
     model_error: Callable[[SiteCurves], Array] | None = None
+    of_force: float = 0.0
 
-
-def _each(value: float) -> Callable[[Protocol, int], Array]:
-    return lambda protocol, n: np.full(n, value)
-
-
-def _of_force(protocol: Protocol, n: int) -> Array:
-    return np.maximum(0.02 * protocol.force[-2::-1][:n], 0.1)
+    def deviations(self, protocol: Protocol, n: int) -> Array:
+        if not self.of_force:
+            return np.full(n, self.deviation)
+        return np.maximum(self.of_force * protocol.force[-2::-1][:n], self.deviation)
 
 
 def items() -> tuple[Item, ...]:
     """All possible further measurements, except that with the probe turned."""
     return (
         Item("tare", "tare the load cell in air, at the angle of the measurement",
-             lambda c, r, p: np.array([r.force_zero - r.preload]), _each(0.05),
+             lambda c, r, p: np.array([r.force_zero - r.preload]), 0.05,
              given="tare_n", meaning="N shown by the load cell in air at the angle of the measurement"),
         Item("known weight", "hang a known weight on the load cell",
-             lambda c, r, p: np.array([r.force_gain]), _each(0.01),
+             lambda c, r, p: np.array([r.force_gain]), 0.01,
              given="force_gain", meaning="shown over true weight"),
         Item("lift-off", "lift off through thick gel, read the depth at which the force vanishes",
-             lambda c, r, p: true_depth(c, np.zeros(1), r), _each(0.3),
+             lambda c, r, p: true_depth(c, np.zeros(1), r), 0.3,
              given="first_depth_mm", meaning="mm that the probe was below first touch at level 0"),
-        Item("two rates", "repeat the ramp to the deepest level in 0.5 s and in 20 s", _two_rates,
-             _each(0.03),
+        Item("two rates", "repeat the ramp to the deepest level in 0.5 s and in 20 s", _two_rates, 0.03,
              given="rate_ratio", meaning="force after 0.5 s over that after 20 s, at the deepest level"),
-        Item("hold", "hold the deepest level for 60 s, record force and depth", _relaxation, _each(0.03),
+        Item("hold", "hold the deepest level for 60 s, record force and depth", _relaxation, 0.03,
              instead_of="hold"),
-        Item("unload", "also read the levels during unloading", _unloaded, _of_force),
+        Item("unload", "also read the levels during unloading", _unloaded, 0.1, of_force=0.02),
         Item("B-mode thickness", "measure skin to bone at first touch",
-             lambda c, r, p: np.array([read(c, p, r).thickness]), _each(0.5), instead_of="skin-bone"),
+             lambda c, r, p: np.array([read(c, p, r).thickness]), 0.5, instead_of="skin-bone"),
         Item("probe travel", "record the probe's absolute travel",
-             lambda c, r, p: read(c, p, r).travel, _each(0.1), instead_of="travel"),
+             lambda c, r, p: read(c, p, r).travel, 0.1, instead_of="travel"),
         Item("wave speeds", "take a shear-wave mean at every level",
-             lambda c, r, p: read(c, p, r).log_speed[:, 0], _each(0.05), instead_of="swe"),
+             lambda c, r, p: read(c, p, r).log_speed[:, 0], 0.05, instead_of="swe"),
         Item("speed maps", "export the maps, not only their means",
-             lambda c, r, p: _contrast(read(c, p, r).log_speed), _each(0.035), instead_of="map",
-             model_error=_error_of_contrast),
+             _contrast, 0.035, instead_of="map", model_error=_error_of_contrast),
     )  # fmt: skip
 
 
@@ -101,11 +98,8 @@ def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
         if not np.isfinite(value) or (key == "rate_ratio" and value <= 0):
             raise CaseError(f"{key}={value:g} cannot be", where="--measured", fix=item.meaning)
         y = np.array([np.log(value) if key == "rate_ratio" else value])
-        found.append(ExtraMeasurement(item.name, item.see, y, item.deviation(_NOTHING, 1)))
+        found.append(ExtraMeasurement(item.name, item.see, y, np.full(1, item.deviation)))
     return found
-
-
-_NOTHING = Protocol(np.zeros(1), np.zeros(1), np.zeros(1))
 
 
 def menu(
@@ -122,7 +116,7 @@ def menu(
     # Only for single effects: combinations would each need a simulation of the turned model.
     if len(predictions.sites) == 1 and any(fit.explanation == (name,) for fit in fits for name in _TURNS):
         found += _rotated(predictions, fits, turned)
-    return [each for each in found if all(np.all(np.isfinite(v)) for v in each.predictions.values())]
+    return [each for each in found if all(np.all(np.isfinite(v)) for v, _ in each.seen.values())]
 
 
 def _there(site: SiteData) -> set[str]:
@@ -132,15 +126,16 @@ def _there(site: SiteData) -> set[str]:
     return set(site.channels) - ({"swe"} if in_part else set())
 
 
-def _contrast(log_speed: Array) -> Array:
+def _contrast(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     """ln speeds of the parts of the window relative to the mean, at every level."""
+    log_speed = read(curves, protocol, reading).log_speed
     return np.asarray(np.nan_to_num(log_speed[:, 1:] - log_speed[:, :1]).ravel())
 
 
 def _error_of_contrast(site: SiteCurves) -> Array:
     """Covariance of `_contrast` from the model error in maps."""
     protocol, middles = site.site.protocol, site.simulations.windows.middles
-    thickness = site.thickness if site.has_bone else USUAL_THICKNESS
+    thickness = site.thickness if site.thickness > 0 else USUAL_THICKNESS
     strain = np.abs(SmoothDepth.through(protocol).at(protocol.force)) / thickness
     level, part = (each.ravel() for each in np.indices((len(protocol), len(middles))))
     of_parts = maps_model_error(middles, part, strain[level], level)
@@ -177,24 +172,14 @@ def _unloaded(curves: Curves, reading: Reading, protocol: Protocol) -> Array:
     return read(curves, there_and_back, reading).force[len(protocol) :]
 
 
-# ---------------------------------------------------------------- at one site
-
-
 def _proposal(predictions: Predictions, fits: Sequence[Fitted], item: Item) -> Proposal:
     site = predictions.sites[0]
     seen = {fitted.explanation: _seen(predictions, fitted, site, item.see) for fitted in fits}
     size = len(next(iter(seen.values()))[0])
-    covariance = np.diag(item.deviation(site.site.protocol, size) ** 2)
+    covariance = np.diag(item.deviations(site.site.protocol, size) ** 2)
     if item.model_error is not None:
         covariance = covariance + item.model_error(site)
-    return _proposed(item.name, item.sentence, seen, covariance)
-
-
-def _proposed(
-    name: str, sentence: str, seen: Mapping[Explanation, tuple[Array, Array]], covariance: Array
-) -> Proposal:
-    predicted, jacobians = ({key: pair[k] for key, pair in seen.items()} for k in (0, 1))
-    return Proposal(name, sentence, predicted, jacobians, covariance)
+    return Proposal(item.name, item.sentence, seen, covariance)
 
 
 def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See) -> tuple[Array, Array]:
@@ -202,9 +187,8 @@ def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See)
     model, center = predictions.model_of(fitted), predictions.x_of(fitted)
 
     def at(x: Array) -> Array:
-        values = dict(zip(fitted.effect_names, x[2:].tolist(), strict=True))
-        theta, (c, m) = predictions.theta(values, fitted.explanation, 0), np.exp(x[:2]).tolist()
-        return see(*where.read(c, m, model, theta), where.site.protocol)
+        c, m, thetas = predictions.values_of(x, fitted.explanation)
+        return see(*where.read(c, m, model, thetas[0]), where.site.protocol)
 
     columns = []
     for k in range(len(center)):
@@ -212,9 +196,6 @@ def _seen(predictions: Predictions, fitted: Fitted, where: SiteCurves, see: See)
         step[k] = 1e-3 * max(abs(center[k]), 0.1)
         columns.append((at(center + step) - at(center - step)) / (2 * step[k]))
     return at(center), np.stack(columns, axis=1)
-
-
-# ---------------------------------------------------------------- another orientation
 
 
 def _rotated(
@@ -240,4 +221,4 @@ def _rotated(
                 jacobian[:, k] = 0.0
         seen[fitted.explanation] = value, jacobian
     sentence = "measure the same place again with the probe turned by 90 degrees"
-    return [_proposed(ROTATE, sentence, seen, other.site.data.noise.covariance + unknown)]
+    return [Proposal(ROTATE, sentence, seen, other.site.data.noise.covariance + unknown)]

@@ -1,21 +1,20 @@
 """Predictions of explanations for the data of one site, or of several measurements of one place.
 
-Evaluated on each site's `surrogate` from c, m and the effects' parameters, at given points of the effects'
-grids.
+Evaluated on each site's `surrogate` from c, m and effects' parameters, at given points of the effects' grids.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
-from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.joint_measurements import joined
-from limbcli.diagnosis.data.site_data import SiteData
-from limbcli.diagnosis.explanations.conclusions.estimates import LN_M_DEVIATION, USUAL_M
-from limbcli.diagnosis.explanations.model.forward_model import Explanation, Fitted, Prior
+from limbcli.diagnosis.curves.curve_plan import some_solved
+from limbcli.diagnosis.data.site_data import SiteData, joined
+from limbcli.diagnosis.explanations.estimates import LN_M_DEVIATION, USUAL_M
+from limbcli.diagnosis.explanations.forward_model import Explanation, Fitted, Prior
 from limbcli.diagnosis.forward_model.changes import only_febio
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.effects.curves import Curves
@@ -74,10 +73,10 @@ def held_points(effect: Effect) -> list[Theta]:
 
 
 class Predictions:
-    """Predictions for sites that share the tissue and the candidate effects, their data, and the priors of
-    what is fitted.
+    """Of sites that share the tissue and the candidate effects, with the priors of what is fitted.
 
     data : of all sites; whiten : of their noise, as fits weight it
+    slots : of an explanation, its parameters in order; priors : of ln c, ln m and these parameters
     """
 
     def __init__(self, sites: Sequence[SiteCurves]):
@@ -86,8 +85,7 @@ class Predictions:
         self.effects: dict[str, Effect] = {
             name: each.measured_by(channels) for name, each in sites[0].effects.items()
         }
-        self._slots: dict[Explanation, tuple[Slot, ...]] = {}  # kept: every prediction asks for them
-        self._priors: dict[Explanation, tuple[Prior, ...]] = {}
+        self.slots, self.priors = cache(self._slots_of), cache(self._priors_of)  # for every prediction
         self._join()
 
     def allow_for(self, shares: Mapping[str, float]) -> None:
@@ -109,20 +107,9 @@ class Predictions:
 
     @property
     def site(self) -> SiteData:
-        """The first site's data."""
         return self.sites[0].site
 
-    @property
-    def simulations(self) -> SiteSimulations:
-        return self.sites[0].simulations
-
-    def slots(self, explanation: Explanation) -> tuple[Slot, ...]:
-        """The parameters of an explanation, in order."""
-        if explanation not in self._slots:
-            self._slots[explanation] = tuple(self._slots_of(explanation))
-        return self._slots[explanation]
-
-    def _slots_of(self, explanation: Explanation) -> list[Slot]:
+    def _slots_of(self, explanation: Explanation) -> tuple[Slot, ...]:
         found = []
         for name in explanation:
             effect = self.effects[name]
@@ -131,10 +118,9 @@ class Predictions:
                     found += [Slot(f"{p.name}@{s.site.name}", p, k, True) for k, s in enumerate(self.sites)]
                 else:
                     found.append(Slot(p.name, p, each_time=effect.each_time))
-        return found
+        return tuple(found)
 
     def sizes(self, name: str) -> list[Slot]:
-        """The size parameters of an effect."""
         return [slot for slot in self.slots((name,)) if not slot.parameter.shape]
 
     def theta(self, values: Mapping[str, float], explanation: Explanation, site: int) -> dict[str, float]:
@@ -154,10 +140,15 @@ class Predictions:
         return AtPoints(fitted.explanation, tuple(chosen))
 
     def x_of(self, fitted: Fitted) -> Array:
-        """Parameter vector of a fit, as for `predict`."""
         values = fitted.values
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
+
+    def values_of(self, x: Array, explanation: Explanation) -> tuple[float, float, list[dict[str, float]]]:
+        """c (MPa), m, and the effect parameters of every site for a parameter vector."""
+        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        thetas = [self.theta(values, explanation, k) for k in range(len(self.sites))]
+        return float(np.exp(x[0])), float(np.exp(x[1])), thetas
 
     def predict(self, x: Array, model: AtPoints = NOTHING) -> Array:
         """Prediction (n,) for x: ln c, ln m, then the effects' parameters in order.
@@ -167,10 +158,8 @@ class Predictions:
         SolveError
             If there is no solution, or it is not finite.
         """
-        names = model.explanation
-        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
-        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
-        parts = [each.predict(c, m, model, self.theta(values, names, k)) for k, each in enumerate(self.sites)]
+        c, m, thetas = self.values_of(x, model.explanation)
+        parts = [each.predict(c, m, model, theta) for each, theta in zip(self.sites, thetas, strict=True)]
         found = parts[0] if len(parts) == 1 else np.concatenate(parts)
         if not np.isfinite(found).all():
             raise SolveError("the prediction is not a number", where="diagnose", fix="look at levels.csv")
@@ -179,12 +168,10 @@ class Predictions:
     def amplification(self, x: Array, model: AtPoints) -> Array | None:
         """Change (n,) of each shown ln speed per change of it in the tissue; 1 for other data. None if 1 for
         all."""
-        names = model.explanation
-        values = dict(zip([s.name for s in self.slots(names)], x[2:].tolist(), strict=True))
-        c, m = float(np.exp(x[0])), float(np.exp(x[1]))
+        c, m, thetas = self.values_of(x, model.explanation)
         found = np.concatenate([
-            each.site.amplification(*each.read(c, m, model, self.theta(values, names, k)))
-            for k, each in enumerate(self.sites)
+            each.site.amplification(*each.read(c, m, model, theta))
+            for each, theta in zip(self.sites, thetas, strict=True)
         ])  # fmt: skip
         return None if np.allclose(found, 1.0) else found
 
@@ -201,36 +188,20 @@ class Predictions:
 
     def _slope(self, x: Array, step: Array, model: AtPoints) -> Array:
         """Change over this step by central differences, or by a one-sided difference if one side has no
-        solution.
+        solution; SolveError if neither has."""
+        known = some_solved(lambda sign: (sign, self.predict(x + sign * step, model)), (1.0, -1.0))
+        if len(known) < 2:
+            known.append((0.0, self.predict(x, model)))
+        (lower, low), (upper, high) = sorted(known, key=lambda each: each[0])
+        return np.asarray((high - low) / (upper - lower))
 
-        Raises
-        ------
-        SolveError
-            If neither side has a solution.
-        """
-        sides, problem = {}, None
-        for sign in (1.0, -1.0):
-            try:
-                sides[sign] = self.predict(x + sign * step, model)
-            except SolveError as error:
-                problem = error
-        if not sides and problem is not None:
-            raise problem
-        if len(sides) < 2:
-            sides[0.0] = self.predict(x, model)
-        upper, lower = max(sides), min(sides)
-        return np.asarray((sides[upper] - sides[lower]) / (upper - lower))
-
-    def priors(self, explanation: Explanation) -> tuple[Prior, ...]:
-        """Priors of ln c, ln m, and the effects' parameters."""
-        if explanation not in self._priors:
-            low, high = self.bounds(())
-            self._priors[explanation] = (
-                Prior.uniform(float(low[0]), float(high[0])),
-                Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, float(low[1]), float(high[1])),
-                *(slot.prior for slot in self.slots(explanation)),
-            )
-        return self._priors[explanation]
+    def _priors_of(self, explanation: Explanation) -> tuple[Prior, ...]:
+        (c_low, m_low), (c_high, m_high) = (each.tolist() for each in self.bounds(()))
+        return (
+            Prior.uniform(c_low, c_high),
+            Prior(float(np.log(USUAL_M)), LN_M_DEVIATION, m_low, m_high),
+            *(slot.prior for slot in self.slots(explanation)),
+        )
 
     def check_channels(self, explanation: Explanation) -> None:
         """
@@ -240,7 +211,7 @@ class Predictions:
             If an effect requires data that were not measured, a bone, or FEBio.
         """
         has = {channel for each in self.sites for channel in each.site.channels}
-        has |= {"bone"} if all(each.has_bone for each in self.sites) else set()
+        has |= {"bone"} if all(each.thickness > 0 for each in self.sites) else set()
         for name in explanation:
             for each in self.sites:
                 if name in each.refused:
@@ -261,7 +232,7 @@ class Predictions:
 
     def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
         parameters = [slot.parameter for slot in self.slots(explanation)]
-        c = self.simulations.c
+        c = self.sites[0].simulations.c
         low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
         high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
         return low, high

@@ -1,4 +1,4 @@
-"""The diagnosis' forward model: fits and sensitivities of one site, or of several measurements of one place.
+"""The diagnosis' forward model: fits and sensitivities of one site, or of several that share the tissue.
 
 Fits run on each site's surrogate. A likely explanation is simulated at its fit, the surrogate is corrected to
 the result and the fit is repeated; the reported numbers come from this fit.
@@ -12,25 +12,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m
+from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m, some_solved
 from limbcli.diagnosis.data.noise_parts import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
-from limbcli.diagnosis.explanations.evidence.laplace import posterior
-from limbcli.diagnosis.explanations.model.forward_model import (
+from limbcli.diagnosis.explanations.forward_model import (
     Data,
     Direction,
     Explanation,
     Facts,
     Fitted,
-    Prior,
     Proposal,
     Scalable,
 )
+from limbcli.diagnosis.explanations.laplace import posterior
 from limbcli.diagnosis.forward_model.fits import Fits
 from limbcli.diagnosis.forward_model.measurement_menu import menu
 from limbcli.diagnosis.forward_model.predictions import NOTHING, Predictions, Slot, held_points
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
 from limbcli.effects.effect import Effect, Theta, point_name
-from limbcli.errors import LimbError, SolveError
+from limbcli.errors import LimbError
 from limbcli.model import Array
 
 _SETTLED, _BEYOND = 0.1, 0.1  # largest distance in ln m from the nearest solved m, and beyond all of them
@@ -41,15 +40,13 @@ _MOST_POINTS, _TRIED_FULLY = 60, 2  # combinations of grid points that are tried
 
 
 class SiteForwardModel:
-    """Forward model of one site, or of several sites that share the tissue.
-
+    """
     turned : gives the curves with the probe turned by 90 degrees, where these can be simulated
     not_simulated : explanations whose fit was not simulated because the work budget was used up
     shares : by noise part, the estimated fraction of its assumed size (`settle_noise`)
     """
 
     def __init__(self, sites: Sequence[SiteCurves]):
-        """sites : with the same candidate effects"""
         self.predictions = Predictions(sites)
         self.fits = Fits(self.predictions)
         self.turned: Callable[[], SiteCurves] | None = None
@@ -58,19 +55,11 @@ class SiteForwardModel:
 
     def settle_noise(self) -> None:
         """Take the error of all strains along the fit without effects, and start from the sizes of the model
-        errors in maps that are most probable with that fit.
-
-        Raises
-        ------
-        SolveError, FitError
-            If that fit fails.
-        """
+        errors in maps that are most probable with that fit."""
         self.predictions.strain_along(self.fit((), {}))
         found = posterior(self.fit((), {}), self.data.y, self.data.noise, self.scalable)
         self.shares = dict(found.shares)
         self.predictions.allow_for(self.shares)
-
-    # ------------------------------------------------------------ the contract
 
     @property
     def data(self) -> Data:
@@ -94,9 +83,6 @@ class SiteForwardModel:
             Scalable(name, least / self.shares.get(name, 1.0), 1.0 / self.shares.get(name, 1.0))
             for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS))
         ]
-
-    def size_priors(self, name: str) -> Mapping[str, Prior]:
-        return {slot.name: slot.prior for slot in self.predictions.sizes(name)}
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Fit of c, m and the effects' parameters; the best over the effects' grid points."""
@@ -154,18 +140,13 @@ class SiteForwardModel:
         effect = self.predictions.effects[name]
         self.predictions.check_channels((name,))
         slots = self.predictions.sizes(name)
-        found, problem = [], None
-        for point in effect.grid:
-            try:
-                columns = [self._column(fitted, effect, slot, point) for slot in slots]
-            except SolveError as error:  # other points may have a solution
-                problem = error
-                continue
-            names = tuple(slot.name for slot in slots)
-            found.append(Direction(np.stack(columns, axis=1), names, point_name(point), effect.free(point)))
-        if not found and problem is not None:
-            raise problem
-        return found
+
+        def at(point: Theta) -> Direction:
+            columns = [self._column(fitted, effect, slot, point) for slot in slots]
+            priors = {slot.name: slot.prior for slot in slots}
+            return Direction(np.stack(columns, axis=1), priors, point_name(point), effect.free(point))
+
+        return some_solved(at, effect.grid)
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:
         return menu(self.predictions, fits, self.turned)
@@ -215,8 +196,10 @@ class SiteForwardModel:
         return self._solve_node(float(round(m, 3)))
 
     def _solve_node(self, m: float) -> bool:
-        solved = [each.solve_node(m) for each in self.predictions.sites]
-        return all(solved)
+        """Solve at one further m; returns whether this succeeded at every site."""
+        for each in self.predictions.sites:
+            each.solve_nodes([m])
+        return m in self._nodes()
 
     def _nodes(self) -> set[float]:
         return set.intersection(*(set(each.nodes) for each in self.predictions.sites))
@@ -225,14 +208,9 @@ class SiteForwardModel:
         self, several: Sequence[AtPoints], start: Mapping[str, float], *, thorough: bool
     ) -> list[tuple[float, AtPoints, Fitted]]:
         """Fits of these models, the best first; those without a solution are left out."""
-        found, problem = [], None
-        for model in several:
-            try:
-                cost, fitted = self.fits.best(model, start, thorough=thorough)
-            except LimbError as error:
-                problem = error
-                continue
-            found.append((cost, model, fitted))
-        if not found and problem is not None:
-            raise problem
-        return sorted(found, key=lambda each: each[0])
+
+        def best(model: AtPoints) -> tuple[float, AtPoints, Fitted]:
+            cost, fitted = self.fits.best(model, start, thorough=thorough)
+            return cost, model, fitted
+
+        return sorted(some_solved(best, several, unless=LimbError), key=lambda each: each[0])

@@ -10,7 +10,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,10 +18,9 @@ from numpy.typing import NDArray
 from limbcli.diagnosis.curves.curve_plan import bend, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.site_data import SiteData
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.explanations.forward_model import Explanation
 from limbcli.diagnosis.forward_model.changes import Changes, logs, without_spikes
-from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection
-from limbcli.diagnosis.mesh_error.penetration import Penetration
+from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection, Penetration
 from limbcli.effects.curves import Curves, gaps_filled, without_gaps
 from limbcli.effects.effect import Effect, Theta, point_name
 from limbcli.effects.reading import Reading
@@ -30,7 +29,6 @@ from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _OF_LEVELS = ("force", "swe", "map", "travel", "layer")
-_NONE: Mapping[str, LimbError] = {}
 _NEAR = 5  # number of solved values of m used in the interpolation
 _ON = 0.25  # range of polynomial extrapolation in m, as a fraction of the span of solved values
 # Largest change of ln force and ln speed by effects: larger trial values in a fit would overflow.
@@ -130,44 +128,25 @@ class SiteCurves:
     def __init__(
         self, site: SiteData, simulations: SiteSimulations, effects: Mapping[str, Effect], *,
         correction: MeshCorrection | None = None, penetration: Penetration | None = None,
-        refused: Mapping[str, LimbError] = _NONE, progress: Progress = SILENT,
+        refused: Mapping[str, LimbError] | None = None, progress: Progress = SILENT,
     ):  # fmt: skip
-        self.site, self.simulations, self.effects, self.refused = site, simulations, effects, refused
+        self.site, self.simulations, self.effects, self.refused = site, simulations, effects, refused or {}
         self.correction, self.penetration = correction, penetration
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
-        self._whole: dict[float, tuple[Curves, Array]] = {}  # by m: `_logs_of`
-        self._last_base: tuple[tuple[float, int], tuple[Array, Array, Curves]] | None = None
+        self._base = lru_cache(1)(self._interpolated)  # most finite differences of a fit do not change m
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}  # by the key of the model
 
     def solve_nodes(self, values: Sequence[float]) -> None:
-        """Solve at these m, the stiffest law first; failures are left out unless all fail.
-
-        Raises
-        ------
-        SolveError
-            If none can be solved.
-        """
-        for m in sorted(values, reverse=True):
-            self.solve_node(m)
+        """Solve at these m, the stiffest law first; failures are left out, but SolveError if all fail."""
+        self.nodes |= where_solved(self.simulations.curves, sorted(values, reverse=True))
         if not self.nodes:
             self.simulations.curves(min(values))  # raises
-
-    def solve_node(self, m: float) -> bool:
-        """Solve at one further m; returns whether this succeeded."""
-        found = where_solved(self.simulations.curves, (m,))
-        self.nodes |= found
-        return m in found
 
     @property
     def thickness(self) -> float:
         """mm from skin to bone along the beam; NaN if the beam meets no bone in the model."""
         return next((each.thickness for each in self.nodes.values() if each.thickness > 0), float("nan"))
-
-    @property
-    def has_bone(self) -> bool:
-        """Whether the beam meets bone in the model."""
-        return self.thickness > 0
 
     def predict(self, c: float, m: float, model: AtPoints, theta: Theta) -> Array:
         """Prediction of this site's data (n,)."""
@@ -188,13 +167,13 @@ class SiteCurves:
         return self.curves(c, m, model, theta), self.reading(c, model, theta)
 
     def curves(self, c: float, m: float, model: AtPoints, theta: Theta) -> Curves:
-        depth, base, plain = self._base(m)
+        depth, base, plain = self._base(m, len(self.nodes))
         values = base
         if model.key in self._repairs:
             values = values + self._repairs[model.key].at(self._sizes(model, theta), float(np.log(m)))
         for name, point in model:
             if self.effects[name].solves:
-                values = values + self.changes.of(self.effects[name], point).at(theta)
+                values = values + self.changes.of(self.effects[name], point)(theta)
         values = base + np.clip(values - base, -_MOST_CHANGE, _MOST_CHANGE)
         others = plain.with_columns(values[:, 1:])
         log_speed = others["log_speed"]
@@ -214,13 +193,8 @@ class SiteCurves:
         return reading
 
     def repair(self, m: float, model: AtPoints, theta: Theta) -> None:
-        """Simulate the model with these effects, and correct the surrogate to the result.
-
-        Raises
-        ------
-        SolveError
-            If the simulation fails.
-        """
+        """Simulate the model with these effects (SolveError if that fails), and correct the surrogate to the
+        result."""
         effects = [(self.effects[name], point) for name, point in model]
         solving = tuple(
             (e, {**e.null, **{k: v for k, v in theta.items() if k in e.null}, **e.without_onset(q)})
@@ -275,31 +249,25 @@ class SiteCurves:
         known = self.correction.at(m)
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
-    def _base(self, m: float) -> tuple[Array, Array, Curves]:
+    def _interpolated(self, m: float, n_nodes: int) -> tuple[Array, Array, Curves]:
         """Depths, (ln force, ln speeds...) interpolated at m, and the curves of the nearest solved m.
 
-        Cached for the last m, as most finite differences of a fit do not change it.
+        n_nodes : how many are solved now
         """
-        key = m, len(self.nodes)
-        if self._last_base is None or self._last_base[0] != key:
-            self._last_base = key, self._interpolated(m)
-        return self._last_base[1]
-
-    def _interpolated(self, m: float) -> tuple[Array, Array, Curves]:
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
         weights = _weights(bend(np.array(nodes)), float(bend(m)))
-        total = np.asarray(sum(w * self._logs_of(node) for w, node in zip(weights, nodes, strict=True)))
+        total = np.asarray(
+            sum(w * _logs_without_gaps(self.nodes[node]) for w, node in zip(weights, nodes, strict=True))
+        )
         return first.depth, total + self._corrected(m, total.shape[1]), first
 
-    def _logs_of(self, node: float) -> Array:
-        """`logs` of the curves solved at this m, without gaps: the parts of maps that one m shows and another
-        does not are interpolated between the same depths. Kept until these curves are solved again."""
-        solved = self.nodes[node]
-        known = self._whole.get(node)
-        if known is None or known[0] is not solved:
-            known = self._whole[node] = solved, logs(replace(solved, log_speed=without_gaps(solved)))
-        return known[1]
+
+@lru_cache(4 * _NEAR)  # of a few sites
+def _logs_without_gaps(solved: Curves) -> Array:
+    """`logs` of solved curves without gaps: the parts of maps that one m shows and another does not are
+    interpolated between the same depths."""
+    return logs(replace(solved, log_speed=without_gaps(solved)))
 
 
 def _weights(known: Array, at: float) -> Array:

@@ -1,7 +1,7 @@
-"""Numerical effects of mesh, crop and contact on a site's curves, assessed before tissue effects.
+"""Numerical effects of mesh, crop and contact on a site's curves, and the errors of its models in the noise.
 
 The working mesh is corrected to the site's own mesh where possible. The remaining errors of the mesh, the
-assumed compressibility, the cut and the contact enter the noise.
+assumed compressibility, the cut, the contact and the geometry enter the noise.
 """
 
 from __future__ import annotations
@@ -13,14 +13,31 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.case import Case, Site
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, where_solved
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
-from limbcli.diagnosis.data.noise_parts import COMPRESSIBILITY, FEWEST_SMOOTH, SmoothDepth, readings
+from limbcli.diagnosis.data.noise_parts import (
+    COMPRESSIBILITY,
+    IN_MEAN,
+    STRAIN,
+    USUAL_THICKNESS,
+    KnownErrors,
+    ModelError,
+)
+from limbcli.diagnosis.data.rows import FEWEST_SMOOTH, SmoothDepth, known_levels, readings
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, START_M, own_run
-from limbcli.diagnosis.mesh_error.penetration import LEFT_ERROR, Penetration, penetration
+from limbcli.diagnosis.mesh_error.mesh_correction import (
+    F_KAPPA,
+    LEFT_ERROR,
+    START_M,
+    MeshCorrection,
+    Penetration,
+    change_of,
+    own_run,
+    penetration,
+)
 from limbcli.effects import Effect, effect
 from limbcli.effects.curves import Curves, depth_at, gaps_filled, log_force_at
 from limbcli.effects.effect import Parameter, Theta
@@ -30,7 +47,9 @@ from limbcli.effects.turn import TURN
 from limbcli.errors import LimbError
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
+from limbcli.numbers.significant_digits import short
 from limbcli.progress import Progress
+from limbcli.results import data_if_there
 
 USUAL_C = 0.006  # MPa, reference c; arbitrary, as force and modulus are proportional to it
 # Remaining uncertainty as a fraction of the change by 5 % more tissue: surfaces and posture leave 4 %.
@@ -44,6 +63,18 @@ _FAR_SIDE_LEFT = 0.5
 _STIFFNESSES = np.geomspace(0.1, 10.0, 81)  # trial values of c, as multiples of the reference c
 _DOUBTFUL = 0.15  # uncertainty in ln force, as it enters the noise, from which a warning is given
 STIFFER = 4.0  # factor on f_kappa, towards the incompressible limit
+_ALIKE = 0.8  # correlation of the mesh error between neighbouring levels
+# Standard deviation of the depth at first touch: in voxel edges of imaged surfaces, and in mm of given ones.
+# For comparison, a probe 53 mm long that is tilted by 1 degree touches 0.5 mm earlier.
+_TOUCH_VOXELS, _TOUCH_MM = 0.5, 0.2
+# Standard deviation of ln force, common to all levels, besides compressibility, cut, far side and thickness.
+# At true c, m and f_kappa our force is off that of FEBio's records without noise by 4 % (root mean square,
+# thirteen sites) in the first 60 % of the depth, by 7 and 13 % at strains of 0.27 and 0.35
+# (`tests/benchmarks/map_errors.py`).
+_GAIN = 0.07
+# Relative standard deviation of the force if no fit varied an assumed geometry: as of parametric limbs.
+USUAL_GAIN = 0.15
+_STRAIN = 0.02  # relative standard deviation of all strains: posture, the scanner's scale of depths
 
 
 def _stiffened(model: LimbModel, theta: Theta) -> LimbModel:
@@ -138,13 +169,13 @@ class NumericalChecks:
 
     def interventions(self) -> list[Intervention]:
         """All numerical checks, made at the likely m, as their effects grow with m."""
-        found, m = [], self.likely_m
+        found = []
         turn = (TURN,) if isinstance(self.site.long_axis, str) else ()
         always = (effect("contact"), INCOMPRESSIBILITY, effect("thickness"))
         for numerical in (*self.positions(), *always, *turn):
             self.progress.event("note", text=f"numerical check: {numerical.name}")
             try:
-                found.append(self._intervene(numerical, m))
+                found.append(self._intervene(numerical))
             except LimbError as error:
                 self.notes.data.setdefault("numerical_not_evaluated", {})[numerical.name] = error.what
         return found + self._locking()
@@ -153,12 +184,18 @@ class NumericalChecks:
     def likely_m(self) -> float:
         """The m of `FIRST_M` whose curve, with the best c, fits the measured depths best at the measured
         forces; `START_M` if this cannot be determined."""
-        scatter = depth_scatter(self.simulations, self.levels)
-        return min(scatter, key=lambda m: scatter[m]) if scatter else START_M
+        rising = (self.levels.force > 0) & (self.levels.depth > 0)
+        force, depth = self.levels.force[rising], self.levels.depth[rising]
+        if len(depth) < 2:
+            return START_M
+        scatter = {
+            m: min(float(np.mean((depth - depth_at(curves, force / c)) ** 2)) for c in _STIFFNESSES)
+            for m, curves in where_solved(self.simulations.curves, FIRST_M).items()
+        }
+        return min(scatter, key=lambda m: scatter[m], default=START_M)
 
-    def _intervene(self, numerical: Effect, m: float) -> Intervention:
-        plain_curves = self.simulations.curves(m)
-        changed = self.curves_with(numerical, m)
+    def _intervene(self, numerical: Effect) -> Intervention:
+        plain_curves, changed = self.curves, self.curves_with(numerical, self.likely_m)
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
         if numerical.name == "contact":
             self.penetration = penetration(plain_curves, changed)
@@ -194,23 +231,87 @@ class NumericalChecks:
         return [judged]
 
     def _judged(self, name: str, before: Curves, after: Curves, note: str) -> Intervention:
-        change, speed = change_of(before, after)
-        change[0] = change[1]
-        at_levels = np.interp(self.depth, before.depth, change)
-        speeds = at_depths(self.depth, before, speed)
+        change = change_of(before, after)
+        change[0, 0] = change[1, 0]
+        moved = at_depths(self.depth, before, change)
         noise = self.site.noise
         slope = SmoothDepth.through(readings(self.levels)).slope(self.levels.force)
         deviation = np.hypot(noise.force, slope * noise.depth)
-        size = float(np.max(np.abs(at_levels * self.levels.force) / deviation))
-        return Intervention(name, at_levels, speeds, size, note)
+        size = float(np.max(np.abs(moved[:, 0] * self.levels.force) / deviation))
+        return Intervention(name, moved[:, 0], moved[:, 1:], size, note)
 
+    # ------------------------------------------------------------ errors of the models
 
-def change_of(before: Curves, after: Curves) -> tuple[Array, Array]:
-    """Change of ln force (n,), 0 at depth 0, and of ln speeds (n, n_parts), between curves of the same
-    depths."""
-    change = np.zeros(len(before.depth))
-    change[1:] = np.log(np.maximum(after.force[1:], 1e-9) / np.maximum(before.force[1:], 1e-9))
-    return change, gaps_filled(after.log_speed - before.log_speed)
+    @cached_property
+    def curves(self) -> Curves:
+        """Without effects, at the likely m."""
+        return self.simulations.curves(self.likely_m)
+
+    @property
+    def has_bone(self) -> bool:
+        return self.curves.thickness > 0
+
+    def known_errors(self, correction: MeshCorrection, interventions: Sequence[Intervention]) -> KnownErrors:
+        """What is known of how far the models of this site are off, for the noise of its data."""
+        thickness = self.curves.thickness if self.has_bone else USUAL_THICKNESS
+        keep = known_levels(self.levels)
+        return KnownErrors(
+            errors=self._errors(correction, interventions, thickness), map_share=correction.map_share,
+            map_slopes=at_depths(self.depth[keep], self.curves, _rise(self.curves)[:, 1:]),
+            thickness=thickness, bone_as_shown=bool(self.case.imaging.assumed),
+        )  # fmt: skip
+
+    def _errors(
+        self, correction: MeshCorrection, interventions: Sequence[Intervention], thickness: float
+    ) -> list[ModelError]:
+        """Of numerical changes, of the depth at first touch, of the thickness and thus all strains, of a
+        common factor on the force, of the mesh; without maps also those of mean speeds, by the mesh and by
+        the unknown width of the region."""
+        found = [
+            ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
+            for each in interventions if each.name != "locking"
+        ]  # fmt: skip
+        image = data_if_there(self.out, "segment").get("image")
+        spacing = image.get("spacing_mm") if isinstance(image, dict) else None
+        touch = _TOUCH_VOXELS * float(np.prod(spacing)) ** (1 / 3) if spacing else _TOUCH_MM
+        assumed, warning = assumed_gain(self.case, self.site, self.out)
+        self.notes.warnings.extend([warning] if warning else [])
+        strain, gain = float(np.hypot(touch / thickness, _STRAIN)), float(np.hypot(_GAIN, assumed))
+        found += [
+            self._error("model: depth at first touch", depth=touch),
+            self._error(STRAIN, strain=strain),
+            self._error("model: gain of the force by the geometry", force=gain),
+            self._error("model: mesh", force=correction.mesh_error, correlation=_ALIKE),
+        ]
+        if self.site.swe_maps is not None:
+            return found
+        windows, curves = self.simulations.windows, self.curves
+        mesh = np.hypot(correction.speed_error, IN_MEAN * np.nan_to_num(self.depth) / thickness)
+        width = np.interp(self.depth, curves.depth, windows.width_uncertainty(curves.log_speed))
+        return [
+            *found,
+            self._error("model: mesh, in the mean speed", mean_speed=mesh),
+            self._error("model: width of the window", mean_speed=width),
+        ]
+
+    def _error(
+        self, name: str, *, force: Array | float = 0.0, mean_speed: Array | float = 0.0, **more: Any
+    ) -> ModelError:
+        """An error of ln force and of ln mean speed at the levels, (n_levels,) or the same at all."""
+        log_speed = np.zeros((len(self.levels), len(self.simulations.windows.depths)))
+        log_speed[:, 0] = np.nan_to_num(mean_speed)
+        return ModelError(name, np.zeros(len(log_speed)) + force, log_speed, **more)
+
+    def parts_seen(self) -> NDArray[np.bool_]:
+        """Parts of the region (n_parts,) that the models without effects show at every depth.
+
+        Others come into view under load at the edges of the face, or lie at bone: the models err more in
+        them, also at the depths at which they show them.
+        """
+        seen = np.ones(self.simulations.windows.n_parts, dtype=bool)
+        for curves in where_solved(self.simulations.curves, FIRST_M).values():
+            seen &= np.isfinite(curves.log_speed[:, 1:]).all(axis=0)
+        return seen
 
 
 def at_depths(depth: Array, curves: Curves, table: Array) -> Array:
@@ -220,11 +321,8 @@ def at_depths(depth: Array, curves: Curves, table: Array) -> Array:
 
 def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
     """A warning if the numerical uncertainty is a large part of the force, as mostly over thin tissue."""
-    worst = {
-        each.name: each.left * float(np.max(np.abs(each.log_force)))
-        for each in interventions
-        if each.name != "locking" and each.left * np.max(np.abs(each.log_force)) > _DOUBTFUL
-    }
+    left = {each.name: each.left * float(np.max(np.abs(each.log_force))) for each in interventions}
+    worst = {name: each for name, each in left.items() if name != "locking" and each > _DOUBTFUL}
     if not worst:
         return None
     parts = ", ".join(f"{name} {100 * np.expm1(change):.0f} %" for name, change in worst.items())
@@ -234,18 +332,31 @@ def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
     )
 
 
-def depth_scatter(simulations: SiteSimulations, levels: Levels) -> dict[float, float]:
-    """For each m of `FIRST_M`: mean square difference (mm2) between the measured depths and the model's at
-    the measured forces, for the best c.
+def _rise(curves: Curves) -> Array:
+    """Derivative (n, 1 + n_parts) of ln speeds with depth, in 1/mm; where a part is not shown, that at the
+    depths next to it."""
+    shown, rise = np.isfinite(curves.log_speed), np.full(curves.log_speed.shape, np.nan)
+    for k in np.flatnonzero(shown.sum(axis=0) >= 2).tolist():
+        here = shown[:, k]
+        rise[here, k] = np.gradient(curves.log_speed[here, k], curves.depth[here])
+    return gaps_filled(rise)
 
-    Empty if fewer than two levels have a force and a depth above zero, or nothing can be solved.
-    """
-    force, depth = levels.force, levels.depth
-    rising = (force > 0) & (depth > 0)
-    found: dict[float, float] = {}
-    if rising.sum() < 2:
-        return found
-    for m, curves in where_solved(simulations.curves, FIRST_M).items():
-        off = [depth[rising] - depth_at(curves, force[rising] / times) for times in _STIFFNESSES]
-        found[m] = min(float(np.mean(each**2)) for each in off)
-    return found
+
+def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
+    """Standard deviation of ln force from an assumed geometry, and a warning; 0 if the geometry was
+    imaged."""
+    words = case.imaging.assumed
+    if not words:
+        return 0.0, ""
+    uncertainty = data_if_there(out, "fit", site=site.name).get("geometry_uncertainty") or {}
+    found = uncertainty.get("gain_fraction")
+    if uncertainty.get("words") != words or found is None:
+        return USUAL_GAIN, (
+            f"{words}. No fit has varied it: its uncertainty is taken as {100 * USUAL_GAIN:g} % of the force "
+            f"at site {site.name}; run `limbcli fit`, then diagnose again"
+        )
+    return float(found), (
+        f"{words}. From the fit's geometry variations, {short(100 * float(found), 2)} % of "
+        f"the force at site {site.name} is uncertain, treated as one common factor; a change with depth is "
+        "not allowed for"
+    )

@@ -13,17 +13,16 @@ from functools import cached_property
 import numpy as np
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.evidence.truncated import ln_probability
-from limbcli.diagnosis.explanations.model.forward_model import Direction, Explanation, Fitted, Prior
-from limbcli.diagnosis.explanations.model.noise_covariance import unit_errors
+from limbcli.diagnosis.explanations.forward_model import Direction, Explanation, Fitted
+from limbcli.diagnosis.explanations.laplace import ln_probability
+from limbcli.diagnosis.explanations.noise import unit_errors
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 
 
 @dataclass(frozen=True, eq=False)
 class Added:
-    """Sensitivities of an added effect (or several) at one point of its grid, whitened, and its sizes'
-    priors.
+    """Sensitivities of an added effect (or several) at one point of its grid.
 
     columns : (n, q) whitened; seen : (n, q) the same, as far as the fitted parameters cannot reproduce them
     """
@@ -31,9 +30,20 @@ class Added:
     direction: Direction
     columns: Array
     seen: Array
-    deviation: Array
-    low: Array
-    high: Array
+
+    @cached_property
+    def deviation(self) -> Array:
+        """(q,) of the sizes' priors."""
+        return np.array([prior.deviation for prior in self.direction.priors.values()])
+
+    @cached_property
+    def low(self) -> Array:
+        """Limits (q,) of the sizes less their null values."""
+        return np.array([prior.low - prior.mean for prior in self.direction.priors.values()])
+
+    @cached_property
+    def high(self) -> Array:
+        return np.array([prior.high - prior.mean for prior in self.direction.priors.values()])
 
     @cached_property
     def covariance(self) -> Array:
@@ -59,16 +69,10 @@ class Added:
         return np.asarray(ln + ln_probability(mean, self.covariance, self.low, self.high))
 
     def beside(self, other: Added) -> Added:
-        """Both effects together."""
         a, b = self.direction, other.direction
-        both = Direction(
-            np.hstack([a.columns, b.columns]), (*a.names, *b.names),
-            ", ".join(filter(None, (a.point, b.point))), {**a.at, **b.at},
-        )  # fmt: skip
-        return Added(
-            both, np.hstack([self.columns, other.columns]), np.hstack([self.seen, other.seen]),
-            *(np.concatenate([getattr(self, n), getattr(other, n)]) for n in ("deviation", "low", "high")),
-        )  # fmt: skip
+        point = ", ".join(filter(None, (a.point, b.point)))
+        both = Direction(np.hstack([a.columns, b.columns]), {**a.priors, **b.priors}, point, {**a.at, **b.at})
+        return Added(both, np.hstack([self.columns, other.columns]), np.hstack([self.seen, other.seen]))
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,25 +89,19 @@ class LinearEvidence:
 
     @staticmethod
     def about(
-        fitted: Fitted, y: Array, whiten: Whitener, directions: Mapping[str, Sequence[Direction]],
-        priors: Mapping[str, Mapping[str, Prior]],
-    ) -> LinearEvidence:  # fmt: skip
+        fitted: Fitted, y: Array, whiten: Whitener, directions: Mapping[str, Sequence[Direction]]
+    ) -> LinearEvidence:
         J = whiten(fitted.jacobian)
         normal = J.T @ J + np.diag(fitted.priors.precision)
-        added = {}
-        for name, several in directions.items():
-            found = []
-            for each in several:
-                columns = whiten(each.columns)
-                seen = columns - J @ np.linalg.solve(normal, J.T @ columns)
-                known = [priors[name][size] for size in each.names]
-                found.append(
-                    Added(each, columns, seen, np.array([p.deviation for p in known]),
-                          *(np.array([getattr(p, end) - p.mean for p in known]) for end in ("low", "high")))
-                )  # fmt: skip
-            if found:
-                added[name] = found
-        return LinearEvidence(whiten(y - fitted.prediction) - J @ fitted.priors.shift, added)
+
+        def added(each: Direction) -> Added:
+            columns = whiten(each.columns)
+            return Added(each, columns, columns - J @ np.linalg.solve(normal, J.T @ columns))
+
+        return LinearEvidence(
+            whiten(y - fitted.prediction) - J @ fitted.priors.shift,
+            {name: [added(each) for each in several] for name, several in directions.items() if several},
+        )
 
     def ln_factor(self, name: str, residual: Array | None = None) -> Array:
         """ln Bayes factor (n_draws,), averaged over the effect's grid; residual (n_draws, n): draws in place
@@ -122,8 +120,9 @@ class LinearEvidence:
         several = [self.best(name) for name in names]
         both = several[0] if len(several) == 1 else several[0].beside(several[1])
         mean = np.clip(both.sizes(self.residual[None])[0], both.low, both.high)
-        return {**dict(zip(both.direction.names, mean.tolist(), strict=True)), **both.direction.at}
+        return {**dict(zip(both.direction.priors, mean.tolist(), strict=True)), **both.direction.at}
 
+    @cached_property
     def ln_factors_of_pairs(self) -> dict[Explanation, float]:
         """ln Bayes factor of all pairs, each effect at the most probable point of its grid."""
         few = {name: self.best(name) for name in self.added}

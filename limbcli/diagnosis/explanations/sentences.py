@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from limbcli.diagnosis.explanations.conclusions.estimates import Estimates
-from limbcli.diagnosis.explanations.conclusions.next_measurement import NextStep
-from limbcli.diagnosis.explanations.conclusions.verdict import Diagnosis
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.explanations.conclusions import Diagnosis, NextStep
+from limbcli.diagnosis.explanations.estimates import Estimates
+from limbcli.diagnosis.explanations.forward_model import Explanation
 from limbcli.numbers.significant_digits import short
 
 _WORDS = {
@@ -106,7 +105,6 @@ def _set(found: Diagnosis) -> str:
 
 
 def _common(found: Diagnosis) -> str:
-    """A sentence on the effects that all members share; empty if there are none."""
     first, *others = found.confidence_set
     shared = [name for name in first if all(name in each for each in others)]
     return f" All have {' and '.join(shared)}." if shared and others else ""

@@ -1,4 +1,4 @@
-"""Noise model: a covariance composed of named parts, each with its source.
+"""Noise model: a covariance composed of named parts, each with its source; and fits whitened by it.
 
 The size of the noise is stated, its distribution is not. Readings taken by hand deviate by more than three
 standard deviations far more often than under a normal distribution, and a true effect must not be rejected
@@ -21,15 +21,67 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.linalg import null_space
 
-from limbcli.diagnosis.explanations.model.linear import LinearFit
 from limbcli.model import Array, IntArray
 from limbcli.numbers.whitening import Whitener
 
+_RANK = 1e-8
 ASSUMED = "assumed"
 OF_MODEL = "model: "  # beginning of the name of a part that is an error of the model
 TAILS = 7.0
 EXCESS = 6.0 / (TAILS - 4.0)  # excess kurtosis over the normal distribution
+
+
+@dataclass(frozen=True, eq=False)
+class LinearFit:
+    """Whitened residual r (n,), sensitivities J (n, p) of the fitted parameters, and the projector P off J.
+
+    basis : (n, rank) orthonormal, spans the columns of J; P = I - basis basis'
+    """
+
+    residual: Array
+    jacobian: Array
+    basis: Array
+
+    @staticmethod
+    def of(residual: Array, jacobian: Array, *, as_it_stands: bool = False) -> LinearFit:
+        """
+        as_it_stands : judge the fit at the point where it stopped. If a further linear step along J would
+            reduce chi2 by more than one, that direction is removed from the span. The fit was stopped by a
+            prior, a bound, or a kink in the model, where the derivatives are those of neither side; following
+            the derivatives would assume implausible sizes.
+        """
+        length = np.linalg.norm(jacobian, axis=0)
+        u, s, _ = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0), full_matrices=False)
+        basis = u[:, s > _RANK * np.max(s, initial=1e-300)]
+        pull = basis.T @ residual
+        if as_it_stands and float(pull @ pull) > 1.0:
+            basis = basis @ null_space(pull[None, :])
+        return LinearFit(residual, jacobian, basis)
+
+    @property
+    def nu(self) -> int:
+        """Degrees of freedom: rank of P."""
+        return len(self.residual) - self.basis.shape[1]
+
+    def project(self, x: Array) -> Array:
+        """P x: the part of x that no change of the fitted parameters can reproduce; x (n,) or (n, k).
+
+        >>> state = LinearFit.of(np.zeros(2), np.array([[1.0], [0.0]]))
+        >>> state.project(np.array([3.0, 4.0]))
+        array([0., 4.])
+        """
+        return x - self.basis @ (self.basis.T @ x)
+
+    @cached_property
+    def left(self) -> Array:
+        """P r (n,)."""
+        return self.project(self.residual)
+
+    @property
+    def chi2(self) -> float:
+        return float(self.left @ self.left)
 
 
 def unit_errors(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
@@ -75,7 +127,6 @@ class Noise:
 
     @cached_property
     def covariance(self) -> Array:
-        """Total covariance (n, n), cached."""
         return np.asarray(sum(part.covariance for part in self.parts))
 
     @property
@@ -85,19 +136,17 @@ class Noise:
 
     def with_share(self, name: str, share: float) -> Noise:
         """The noise with the standard deviation of part `name` scaled by the estimated `share`."""
-        return self._of(part.scaled(share) if part.name == name else part for part in self.parts)
+        return self.with_parts(part.scaled(share) if part.name == name else part for part in self.parts)
 
     def amplified(self, times: Array | None) -> Noise:
         """The noise with the model's errors multiplied by these factors (n,); None: by 1."""
         if times is None:
             return self
-        return self._of(part.times(times) if part.name.startswith(OF_MODEL) else part for part in self.parts)
+        return self.with_parts(
+            part.times(times) if part.name.startswith(OF_MODEL) else part for part in self.parts
+        )
 
-    def with_part(self, new: NoisePart) -> Noise:
-        """The noise with the part of this name replaced."""
-        return self._of(new if part.name == new.name else part for part in self.parts)
-
-    def _of(self, parts: Iterable[NoisePart]) -> Noise:
+    def with_parts(self, parts: Iterable[NoisePart]) -> Noise:
         return Noise(tuple(parts), self.stated)
 
     @property
@@ -144,17 +193,13 @@ def of_groups(name: str, direction: Array, group: IntArray, *, source: str) -> N
 def correlated(
     name: str, deviation: Array, order: Array, *, correlation: float, source: str
 ) -> NoisePart:  # fmt: skip
-    """Noise correlated between neighbours: covariance sd_i sd_j correlation^|order_i - order_j|; data with
-    NaN order are independent.
+    """Noise correlated between neighbours: covariance sd_i sd_j correlation^|order_i - order_j|.
 
     >>> correlated("x", np.ones(2), np.array([0.0, 1.0]), correlation=0.5, source="spec").covariance
     array([[1. , 0.5],
            [0.5, 1. ]])
     """
-    distance = np.abs(order[:, None] - order[None, :])
-    kernel = np.where(np.isfinite(distance), correlation ** np.nan_to_num(distance, nan=0.0), 0.0)
-    kernel[np.isnan(distance)] = 0.0
-    np.fill_diagonal(kernel, 1.0)
+    kernel = correlation ** np.abs(order[:, None] - order[None, :])
     return NoisePart(name, deviation[:, None] * kernel * deviation[None, :], source)
 
 

@@ -17,10 +17,9 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.evidence.laplace import Posterior
-from limbcli.diagnosis.explanations.evidence.linear_evidence import LinearEvidence
-from limbcli.diagnosis.explanations.evidence.truncated import Truncated, quantiles, shortest
-from limbcli.diagnosis.explanations.model.forward_model import Explanation
+from limbcli.diagnosis.explanations.forward_model import Explanation
+from limbcli.diagnosis.explanations.laplace import Posterior, Truncated, quantiles, shortest
+from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence
 
 USUAL_M, LN_M_DEVIATION = 3.9, 0.69
 PRIOR = f"ln m = ln {USUAL_M} with deviation {LN_M_DEVIATION} (m from 1 to 15, 95 %)"
@@ -83,31 +82,24 @@ def _size(weight: float, found: Posterior, name: str) -> Truncated:
 
 
 def sizes_95(
-    names: Sequence[str], alone: Mapping[Explanation, Posterior], linear: LinearEvidence,
-    nulls: Mapping[str, Mapping[str, float]],
-) -> dict[str, dict[str, tuple[float, float]]]:  # fmt: skip
+    alone: Mapping[Explanation, Posterior], linear: LinearEvidence
+) -> dict[str, dict[str, tuple[float, float]]]:
     """95 % interval of every size of an effect when it alone is added to the model.
 
     From its fit, and to first order at the other points of its grid, weighted by their evidence: where an
     effect is absent, the most probable point is a matter of chance.
-
-    nulls : by effect, the null values of its sizes
     """
     found: dict[str, dict[str, tuple[float, float]]] = {}
-    for name in names:
-        points = linear.added.get(name, ())
-        if not points:
-            continue
+    for name, points in linear.added.items():
         fit, best = alone.get((name,)), linear.best(name)
         top = float(best.ln_factor(linear.residual[None])[0])
         found[name] = {}
-        for size in best.direction.names:
+        for q, (size, prior) in enumerate(best.direction.priors.items()):
             several = [] if fit is None else [_size(1.0, fit, size)]
             for each in points:
                 if fit is None or each is not best:
-                    q = each.direction.names.index(size)
                     weight = math.exp(float(each.ln_factor(linear.residual[None])[0]) - top)
-                    null, mean = nulls[name][size], float(each.sizes(linear.residual[None])[0, q])
+                    null, mean = prior.mean, float(each.sizes(linear.residual[None])[0, q])
                     deviation = float(np.sqrt(each.covariance[q, q]))
                     several.append(
                         Truncated(weight, null + mean, deviation, null + each.low[q], null + each.high[q])

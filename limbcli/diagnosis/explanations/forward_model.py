@@ -10,25 +10,13 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.diagnosis.explanations.model.noise_covariance import Noise
+from limbcli.diagnosis.explanations.noise import LinearFit, Noise
 from limbcli.model import Array
+from limbcli.numbers.whitening import Whitener
 
 Mask = NDArray[np.bool_]
 
 Explanation = tuple[str, ...]
-
-
-@dataclass(frozen=True, eq=False)
-class Direction:
-    """Sensitivities `columns` (n, q), not whitened, to the sizes `names` of an effect at its null value.
-
-    `point` names the point of the effect's grid; `at` : initial values of the fitted grid parameters there.
-    """
-
-    columns: Array
-    names: tuple[str, ...]
-    point: str = ""
-    at: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +55,6 @@ class Data:
         return np.asarray(np.isfinite(self.place).all(axis=1))
 
     def channels(self) -> dict[str, Mask]:
-        """Mask (n,) of each channel."""
         return _masks(self.channel)
 
     def all_series(self) -> dict[str, Mask]:
@@ -91,6 +78,20 @@ class Prior:
     @staticmethod
     def uniform(low: float, high: float) -> Prior:
         return Prior(0.5 * (low + high), math.inf, low, high)
+
+
+@dataclass(frozen=True, eq=False)
+class Direction:
+    """Sensitivities `columns` (n, q), not whitened, to the sizes of an effect at its null value.
+
+    priors : of these sizes, by name, about the null values; point : name of the point of the effect's grid;
+    at : initial values of the fitted grid parameters there
+    """
+
+    columns: Array
+    priors: Mapping[str, Prior]
+    point: str = ""
+    at: Mapping[str, float] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -161,6 +162,11 @@ class Fitted:
     ln_points: float = 0.0
     amplification: Array | None = None
 
+    def whitened(self, y: Array, whiten: Whitener, *, as_it_stands: bool = False) -> LinearFit:
+        """The fit to the data y (n,)."""
+        residual, jacobian = whiten(y - self.prediction), whiten(self.jacobian)
+        return LinearFit.of(residual, jacobian, as_it_stands=as_it_stands)
+
 
 @dataclass(frozen=True)
 class Scalable:
@@ -191,13 +197,13 @@ class Facts:
 class Proposal:
     """A possible further measurement, and what each explanation predicts for it.
 
-    predictions : by explanation (m,); jacobians : (m, same columns as that Fitted's); covariance (m, m)
+    seen : by explanation, prediction (m,) and its Jacobian (m, same columns as that Fitted's)
+    covariance : (m, m)
     """
 
     name: str
     sentence: str
-    predictions: Mapping[Explanation, Array]
-    jacobians: Mapping[Explanation, Array]
+    seen: Mapping[Explanation, tuple[Array, Array]]
     covariance: Array
 
 
@@ -229,10 +235,6 @@ class ForwardModel(Protocol):
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:
         """Sensitivities (not whitened) of the prediction to one additional effect at its null value."""
-        ...
-
-    def size_priors(self, name: str) -> Mapping[str, Prior]:
-        """Prior of every size parameter of an effect, by its name in fits."""
         ...
 
     def proposals(self, fits: Sequence[Fitted]) -> Sequence[Proposal]:

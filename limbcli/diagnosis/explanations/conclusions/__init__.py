@@ -1,1 +1,0 @@
-"""Conclusions: verdict, effect sizes, undetectable effects, proposed next measurement, summary sentences."""

@@ -1,1 +1,0 @@
-"""Evidence of explanations: marginal likelihoods, and what they come to by chance."""
