@@ -10,7 +10,7 @@ set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install -q gmsh==4.15.2 meshio==5.3.5 h5py 2>/dev/null
+"$folder/venv/bin/pip" install -q gmsh==4.15.2 meshio==5.3.5 h5py==3.16.0 2>/dev/null
 "$folder/venv/bin/python" - "$folder" <<'PYTHON'
 import sys
 from pathlib import Path

@@ -9,7 +9,7 @@ set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install -q pynrrd==1.1.3 SimpleITK==2.5.7 numpy 2>/dev/null
+"$folder/venv/bin/pip" install -q pynrrd==1.1.3 SimpleITK==2.5.7 numpy==2.4.6 2>/dev/null
 "$folder/venv/bin/python" - "$folder/a.nrrd" <<'PYTHON'
 import gzip
 import sys

@@ -9,7 +9,7 @@ set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install -q vtk==9.7.2 numpy 2>/dev/null
+"$folder/venv/bin/pip" install -q vtk==9.7.2 numpy==2.4.6 2>/dev/null
 "$folder/venv/bin/python" - <<'PYTHON'
 import sys
 
