@@ -24,6 +24,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -166,11 +167,17 @@ class Conditioned:
         """Variance (n,) that the readings take from quantities of covariances `cross` (n, n_readings) with
         them, less what the errors of the forces' models give back."""
         root = solve_triangular(self.factor[0], cross.T, lower=True)
-        taken = (root**2).sum(axis=0)
-        if self.model_error.any():
-            weights = solve_triangular(self.factor[0], root, lower=True, trans="T")
-            taken = taken - (weights * (self.model_error @ weights)).sum(axis=0)
-        return np.asarray(taken)
+        return np.asarray((root**2).sum(axis=0) - ((self._model_errors.T @ root) ** 2).sum(axis=0))
+
+    @cached_property
+    def _model_errors(self) -> Array:
+        """The errors of the forces' models, one standard deviation each (n_readings, k), divided by the
+        factor."""
+        rows = np.flatnonzero(np.diag(self.model_error) > 0.0)
+        variance, axes = np.linalg.eigh(self.model_error[np.ix_(rows, rows)])
+        errors = np.zeros((len(self.values), len(rows)))
+        errors[rows] = axes * np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(solve_triangular(self.factor[0], errors, lower=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -393,14 +400,14 @@ def _with_linear_forces(
     low, high = (np.log([getattr(each, end) for each in used]) for end in ("low", "high"))
     mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
     no_errors = replace(readings, own=np.zeros_like(readings.own))
-    spread = [share * _prior_covariance(no_errors, each, priors, together) for each, share in joint]
     rows = np.array([range(first, first + len(PARAMETERS)) for first in readings.forces])
+    spread = [share * _prior_covariance(no_errors, each, priors, together)[rows] for each, share in joint]
     logs = mean.copy()
     for _ in range(_ROUNDS):
         readings = linear_about(readings, logs, own_error)
         parts = [conditioned(readings, each, priors, together) for each, _ in joint]
-        found = mean + sum(k @ part.weights for k, part in zip(spread, parts, strict=True))
-        step = np.clip(found[rows] - logs[rows], -_STEP, _STEP)
+        found = mean[rows] + sum(k @ part.weights for k, part in zip(spread, parts, strict=True))
+        step = np.clip(found - logs[rows], -_STEP, _STEP)
         moved = np.clip(logs[rows] + step, low, high) - logs[rows]
         logs[rows] += moved
         if np.abs(moved).max() < _SETTLED:
