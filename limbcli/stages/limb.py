@@ -53,7 +53,7 @@ from limbcli.site_model.site_layers import (
     with_layer_laws,
 )
 from limbcli.stages.limb_field.case_field import CaseField, case_field
-from limbcli.stages.limb_field.limb_force import as_on_limb, cut_warnings
+from limbcli.stages.limb_field.limb_force import as_on_limb, contradicting_forces, cut_warnings
 from limbcli.stages.limb_model.element_values import (
     F_KAPPA,
     ElementValues,
@@ -234,7 +234,7 @@ def _report_field(writer: StageWriter, field: CaseField, values: ElementValues) 
     for name, why in content["left_out"].items():
         writer.warnings.append(f"site {name} says nothing of the field: {why}")
     writer.warnings.extend(content["contradictions"])
-    writer.warnings.extend(cut_warnings(field))
+    writer.warnings.extend([*cut_warnings(field), *contradicting_forces(field)])
 
 
 def _write_draws(

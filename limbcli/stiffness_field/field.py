@@ -24,6 +24,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -31,6 +32,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve, solve_triangular
 from scipy.spatial import cKDTree
 from scipy.special import ndtr, ndtri
+from scipy.stats import chi2
 
 from limbcli.model import Array
 from limbcli.stiffness_field.coordinates import AnatomicalPlaces, LimbCoordinates
@@ -48,6 +50,9 @@ NEAR_MM, IDENTIFIED, ASSUMED = 10.0, 0.5, 0.9
 _LEAST_WEIGHT = 1e-3  # combinations of less weight, as a fraction of the largest, are left out
 _CHUNK = 4000  # points at a time
 _STEPS, _STILL, _WIDEST = 12, 1e-3, 8.0  # quantiles of mixtures
+# Standard deviations of an error of ln force of each site's own, the least with which sites agree.
+_OWN_OF_FORCE = (0.0, 0.05, 0.15, 0.5, 1.5)
+_CHANCE = 0.999  # probability of a distance of the readings that is not at odds
 _SEED = 7  # of the orders in which hypotheses are combined
 _ROUNDS, _STEP, _SETTLED = 40, 0.5, 1e-3  # of linear forces: rounds, largest and last change of ln
 
@@ -162,11 +167,17 @@ class Conditioned:
         """Variance (n,) that the readings take from quantities of covariances `cross` (n, n_readings) with
         them, less what the errors of the forces' models give back."""
         root = solve_triangular(self.factor[0], cross.T, lower=True)
-        taken = (root**2).sum(axis=0)
-        if self.model_error.any():
-            weights = solve_triangular(self.factor[0], root, lower=True, trans="T")
-            taken = taken - (weights * (self.model_error @ weights)).sum(axis=0)
-        return np.asarray(taken)
+        return np.asarray((root**2).sum(axis=0) - ((self._model_errors.T @ root) ** 2).sum(axis=0))
+
+    @cached_property
+    def _model_errors(self) -> Array:
+        """The errors of the forces' models, one standard deviation each (n_readings, k), divided by the
+        factor."""
+        rows = np.flatnonzero(np.diag(self.model_error) > 0.0)
+        variance, axes = np.linalg.eigh(self.model_error[np.ix_(rows, rows)])
+        errors = np.zeros((len(self.values), len(rows)))
+        errors[rows] = axes * np.sqrt(np.maximum(variance, 0.0))
+        return np.asarray(solve_triangular(self.factor[0], errors, lower=True))
 
 
 @dataclass(frozen=True, eq=False)
@@ -302,7 +313,10 @@ def stiffness_field(
     readings = gathered(limb, sites, maps, forces=True)
     together = _averaged_correlations(readings, lengths)
     joint = _combined(hypotheses, shares)
-    readings, parts = _with_linear_forces(readings, joint, priors, together)
+    for own_error in _OWN_OF_FORCE if len(readings.forces) > 1 else (0.0,):
+        readings, parts = _with_linear_forces(readings, joint, priors, together, own_error)
+        if not _at_odds(readings, parts, priors):
+            break
     of_c = [each.points for each in sites if "c" in each.values] + [each.points for each in maps]
     return StiffnessField(
         limb, priors, readings, parts, np.array([share for _, share in joint]), together,
@@ -375,7 +389,7 @@ def quantile(q: float, mean: Array, variance: Array, shares: Array) -> Array:
 
 def _with_linear_forces(
     readings: FieldReadings, joint: Sequence[tuple[tuple[Hypothesis, ...], float]],
-    priors: Mapping[str, FieldPrior], together: Mapping[Lengths, Array],
+    priors: Mapping[str, FieldPrior], together: Mapping[Lengths, Array], own_error: float,
 ) -> tuple[FieldReadings, list[Conditioned]]:  # fmt: skip
     """The readings with all forces linear about what the field then is at their sites (one Gauss-Newton step
     after another), and the field under all combinations of hypotheses."""
@@ -386,19 +400,27 @@ def _with_linear_forces(
     low, high = (np.log([getattr(each, end) for each in used]) for end in ("low", "high"))
     mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
     no_errors = replace(readings, own=np.zeros_like(readings.own))
-    spread = [share * _prior_covariance(no_errors, each, priors, together) for each, share in joint]
     rows = np.array([range(first, first + len(PARAMETERS)) for first in readings.forces])
+    spread = [share * _prior_covariance(no_errors, each, priors, together)[rows] for each, share in joint]
     logs = mean.copy()
     for _ in range(_ROUNDS):
-        readings = linear_about(readings, logs)
+        readings = linear_about(readings, logs, own_error)
         parts = [conditioned(readings, each, priors, together) for each, _ in joint]
-        found = mean + sum(k @ part.weights for k, part in zip(spread, parts, strict=True))
-        step = np.clip(found[rows] - logs[rows], -_STEP, _STEP)
+        found = mean[rows] + sum(k @ part.weights for k, part in zip(spread, parts, strict=True))
+        step = np.clip(found - logs[rows], -_STEP, _STEP)
         moved = np.clip(logs[rows] + step, low, high) - logs[rows]
         logs[rows] += moved
         if np.abs(moved).max() < _SETTLED:
             break
     return readings, parts
+
+
+def _at_odds(readings: FieldReadings, parts: Sequence[Conditioned], priors: Mapping[str, FieldPrior]) -> bool:
+    """Whether readings with forces lie farther from what any hypothesis expects than chance allows: sites of
+    one place with unlike forces, which only an absurd tissue would give."""
+    mean = np.array([priors[PARAMETERS[k]].mean for k in readings.parameter])
+    distance = min(float((part.values - mean) @ part.weights) for part in parts)
+    return bool(distance > chi2.ppf(_CHANCE, len(readings)))
 
 
 def _averaged_correlations(readings: FieldReadings, lengths: Iterable[Lengths]) -> dict[Lengths, Array]:

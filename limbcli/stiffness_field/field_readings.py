@@ -136,12 +136,15 @@ def gathered(
     )  # fmt: skip
 
 
-def linear_about(readings: FieldReadings, logs: Array) -> FieldReadings:
-    """The readings with the rows of all forces linear about the tissue of these logarithms (n,)."""
+def linear_about(readings: FieldReadings, logs: Array, own_error: float) -> FieldReadings:
+    """The readings with the rows of all forces linear about the tissue of these logarithms (n,).
+
+    own_error : of `linear_reading`
+    """
     values, noise, errors = readings.values.copy(), readings.noise.copy(), readings.model_error.copy()
     for first, force in readings.forces.items():
         rows = slice(first, first + len(PARAMETERS))
-        found = linear_reading(force, logs[rows])
+        found = linear_reading(force, logs[rows], own_error)
         values[rows], noise[rows, rows], errors[rows, rows] = found.values, found.noise, found.model_error
     return replace(readings, values=values, noise=noise, model_error=errors)
 

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import solve_triangular
 
 from limbcli.model import Array
 
@@ -41,9 +42,8 @@ class ForceReading:
     predict: ForceOf
 
     def off(self, logs: Array) -> Array:
-        """How far the limb's forces (n,) of a tissue, ln of c, m, f_kappa (3,), are from those read, in
-        standard deviations."""
-        return np.asarray((self.fitted - self.limb_over_site * np.exp(self.predict(logs)[0])) / self.noise)
+        """ln of the forces read (n,) over the limb's of a tissue, ln of c, m, f_kappa (3,)."""
+        return np.asarray(np.log(self.fitted / self.limb_over_site) - self.predict(logs)[0])
 
     def ratio(self, logs: Array) -> float:
         """The limb's force of a tissue over that read, at the deepest level."""
@@ -61,13 +61,16 @@ class LinearReading:
     model_error: Array
 
 
-def linear_reading(reading: ForceReading, logs: Array) -> LinearReading:
-    """The reading about a tissue, ln of c, m, f_kappa (3,)."""
-    log_force, slopes = reading.predict(logs)
-    scale = reading.limb_over_site * np.exp(log_force) / reading.noise
-    columns = scale[:, None] * slopes
+def linear_reading(reading: ForceReading, logs: Array, own_error: float = 0.0) -> LinearReading:
+    """The reading about a tissue, ln of c, m, f_kappa (3,).
+
+    own_error : standard deviation of an error of ln force that is the site's own, common to its depths
+    """
+    off, slopes = reading.off(logs), reading.predict(logs)[1]
+    root = np.linalg.cholesky(np.diag((reading.noise / reading.fitted) ** 2) + own_error**2)
+    columns = solve_triangular(root, slopes, lower=True)
     precision, axes = np.linalg.eigh(columns.T @ columns)
     noise = (axes / (np.maximum(precision, 0.0) + _SILENT)) @ axes.T
-    to_values = noise @ columns.T
-    moved = to_values @ (scale * reading.model_errors).T
-    return LinearReading(logs + to_values @ reading.off(logs), noise, moved @ moved.T)
+    to_values = noise @ solve_triangular(root, columns, lower=True, trans="T").T
+    moved = to_values @ reading.model_errors.T
+    return LinearReading(logs + to_values @ off, noise, moved @ moved.T)

@@ -18,7 +18,7 @@ from limbcli.measurement.elastography import SweMap, write_map
 from limbcli.results import StageResult, StageWriter, open_stage, plain, write_sealed
 from limbcli.stages.limb_field import limb_force
 from limbcli.stages.limb_field.case_field import CaseField, case_field, cohort_priors
-from limbcli.stages.limb_field.limb_force import as_on_limb, cut_warnings
+from limbcli.stages.limb_field.limb_force import as_on_limb, contradicting_forces, cut_warnings
 from limbcli.stages.limb_field.site_force import force_reading
 from limbcli.stages.limb_field.site_results import LimbReadings, of_diagnosis, of_fit, site_results
 from limbcli.stiffness_field import LABELS, limb_coordinates, stiffness_field
@@ -229,6 +229,15 @@ def test_cuts_that_take_much_of_a_sites_force_are_told_unless_the_limbs_force_is
     (words,) = cut_warnings(found)
     assert "site p1: the force on the limb is taken as 60 %" in words
     assert not cut_warnings(replace(found, force_on_limb={"p1": 1.0}))
+
+
+def test_a_force_that_the_fields_tissue_does_not_give_is_told(two_sites):
+    assert not contradicting_forces(two_sites)
+    first, *others = two_sites.field.sites
+    other = replace(first, force=replace(first.force, fitted=2.0 * first.force.fitted))
+    found = replace(two_sites, field=replace(two_sites.field, sites=[other, *others]))
+    (words,) = contradicting_forces(found)
+    assert "site p1: the field's tissue gives 50 % of the force" in words
 
 
 def test_a_limb_that_no_tissue_brings_to_a_sites_force_is_told(two_sites, monkeypatch):

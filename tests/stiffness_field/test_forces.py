@@ -55,6 +55,28 @@ def test_the_fields_tissue_gives_the_force_of_every_site(coordinates):
     assert max(np.abs(np.log(ratios))) > 0.15  # there was something to reproduce
 
 
+def test_between_forces_of_one_place_that_contradict_each_other_the_tissue_stays_possible(coordinates):
+    """Three tissues at one place, one with seven times the force of the others: no c, m and f_kappa near what
+    is known of them give all, and absurd ones are not taken. What is left of the force is an error of it."""
+    tissues = [(0.005, 1.4, 110.0), (0.010, 1.1, 600.0), (0.008, 8.0, 150.0)]
+    sites = [
+        limb.with_force(limb.site(f"p{k}", limb.region(*PLACES[0]), c, 0.1), np.array([c, m, f]), noise=0.01)
+        for k, (c, m, f) in enumerate(tissues)
+    ]
+    sites[1] = replace(sites[1], force=replace(sites[1].force, fitted=5.0 * sites[1].force.fitted))
+    field = stiffness_field(coordinates, sites)
+    off = [np.log(each.force.ratio(tissue_of(field, each.points))) for each in sites]
+    assert min(off) < 0 < max(off)
+    c, m, f_kappa = np.exp(tissue_of(field, sites[0].points))
+    assert 0.004 < c < 0.016
+    assert 1.0 < m < 15.0
+    assert 17.0 < f_kappa < 580.0
+    draws = Draws(field, n=20)
+    places = coordinates.places(sites[0].points)
+    drawn = [sites[0].force.ratio(draws.draw(k).logs(places).mean(axis=0)) for k in range(draws.n)]
+    assert np.std(np.log(drawn)) > 0.05
+
+
 def test_one_force_gives_the_closed_form_and_the_models_errors_only_widen_it(coordinates):
     """A force linear in the logarithms, beside a reading of c: the estimate of least squares with the noise
     alone, and its variance with the model's error as well."""

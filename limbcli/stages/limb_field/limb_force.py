@@ -23,6 +23,7 @@ from limbcli.stiffness_field import ForceReading, stiffness_field
 _MOST_DEPTHS = 3
 _ROUNDS, _SAME = 3, 0.01  # simulations of every site; how far off its force may be
 _CUT_TOO_NEAR = 0.85  # limb's force over that of a site's model below which half-way to free cuts is a guess
+_CONTRADICTED = 0.05  # how far the field's tissue may be from a force read without a warning
 _TOLD = 0.02  # how far off it may be without a warning
 
 
@@ -70,6 +71,19 @@ def cut_warnings(found: CaseField) -> list[str]:
         for site in found.field.sites
         if site.force is not None and site.name not in found.force_on_limb
         and (least := float(site.force.limb_over_site.min())) < _CUT_TOO_NEAR
+    ]  # fmt: skip
+
+
+def contradicting_forces(found: CaseField) -> list[str]:
+    """Sentences on sites whose force the field's tissue does not give."""
+    ratios = {
+        each.name: each.force.ratio(found.tissue_of(each.name))
+        for each in found.field.sites if each.force is not None
+    }  # fmt: skip
+    return [
+        f"site {name}: the field's tissue gives {100 * ratio:.0f} % of the force that its fit found: other "
+        "sites, or its own wave speed, contradict it"
+        for name, ratio in ratios.items() if abs(ratio - 1.0) > _CONTRADICTED
     ]  # fmt: skip
 
 
