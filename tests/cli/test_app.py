@@ -167,7 +167,7 @@ def default_signals() -> None:
 CLOSED = """
 import sys
 import typer
-from limbcli.cli import check, entry
+from limbcli.cli import entry
 import limbcli.stages.check as module
 def held(case, *, progress):
     progress.event("note", text="of the progress")
@@ -196,7 +196,7 @@ def test_interruption_keeps_nothing_half_written_and_says_so(
     tmp_path: Path, sent: signal.Signals, code_of_shell: int
 ):
     code = (
-        "import sys, time; from pathlib import Path; from limbcli.cli import check, entry;"
+        "import sys, time; from pathlib import Path; from limbcli.cli import entry;"
         "from limbcli.files.atomic import atomic_folder\n"
         "def slow(case, **_):\n"
         "    with atomic_folder(case / 'stage') as work:\n"

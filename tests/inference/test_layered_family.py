@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from limbcli.cohorts.population import CohortModel
 from limbcli.errors import ToolError
+from limbcli.inference import layered_family as module
 from limbcli.inference.layered_family import is_inside, layered_family
 from limbcli.inference.layered_solves import (
     COORDINATES,
@@ -105,11 +106,12 @@ def test_beyond_the_ends_the_end_stands():
     assert (slopes[1, :, 1] == 0).all()
 
 
-def test_a_damaged_file_is_told(tmp_path):
+def test_a_damaged_file_is_told(tmp_path, monkeypatch):
     path = tmp_path / "family.csv"
+    monkeypatch.setattr(module, "FILE", path)
     path.write_text("mesh,member\nfamily,x\n")
     with pytest.raises(ToolError, match="cannot be read"):
-        layered_family(path)
+        layered_family.__wrapped__()
     path.write_text("mesh,member\n")
     with pytest.raises(ToolError, match="has too few simulations"):
-        layered_family(path)
+        layered_family.__wrapped__()
