@@ -15,7 +15,7 @@ from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.errors import CaseError, MeasurementError, MeshError
 from limbcli.errors.problems import raise_errors
-from limbcli.inference.interval import Stiffness
+from limbcli.inference.profile_intervals import Stiffness
 from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.stiffness_map import FADE, SMOOTHING, stiffness_at

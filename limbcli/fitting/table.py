@@ -20,9 +20,9 @@ from limbcli.inference.identifiability import (
     log_covariance,
     verdict,
 )
-from limbcli.inference.interval import Stiffness
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import slopes_at
+from limbcli.inference.profile_intervals import Stiffness
 from limbcli.inference.two_step_fit import CurveMatch, FittedStep, sensitivities
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import Flag

@@ -21,10 +21,10 @@ from limbcli.config import one_blas_thread
 from limbcli.diagnosis.drainage import DrainageSolver
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
-from limbcli.diagnosis.explanations.engine import diagnose as diagnose_bench
 from limbcli.diagnosis.explanations.forward_model import Explanation
 from limbcli.diagnosis.explanations.residuals import force_jump
 from limbcli.diagnosis.explanations.sentences import sentences
+from limbcli.diagnosis.explanations.verdict import diagnose as diagnose_bench
 from limbcli.diagnosis.forward_model.measurement_menu import known
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves

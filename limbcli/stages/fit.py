@@ -44,8 +44,8 @@ from limbcli.fitting.table import NAMES
 from limbcli.fitting.tissue_force import write_tissue_force
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import no_narrower
-from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.profile_intervals import Stiffness, force_intervals
 from limbcli.inference.two_step_fit import START_F_KAPPA, CurveMatch, FittedStep, ForceDepth, two_step
 from limbcli.measurement.indentation import Levels, level_warnings
 from limbcli.measurement.speed_noise import mean_speed_deviation

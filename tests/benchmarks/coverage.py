@@ -22,8 +22,8 @@ import numpy as np
 from limbcli.feb.settings import least_level, schedule
 from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.numerical_error import gain_deviation
-from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.profile_intervals import Stiffness, force_intervals
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
 from limbcli.meshing.elements import with_element
 from limbcli.model.npz_file import load_model

@@ -126,7 +126,7 @@ SLIPS = (
          "tests/inference/test_residual.py"),
     Slip("threshold of 90 % for 95 %", "numbers/interval_limits.py",
          "chdtri(1, 1.0 - 0.95)", "chdtri(1, 1.0 - 0.90)",
-         "tests/inference/test_interval.py::test_profile_of_a_linear_model_is_its_textbook_interval"),
+         "tests/inference/test_profile_intervals.py::test_profile_of_a_linear_model_is_its_textbook_interval"),
     Slip("a document type is let through", "files/xml.py",
          "    _refuse_document_type(content)\n", "", "tests/files/test_xml_files.py"),
     Slip("text after a tag does not count", "files/xml.py",

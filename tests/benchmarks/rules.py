@@ -37,9 +37,9 @@ from scipy.stats import binomtest, norm
 from limbcli.case import Case
 from limbcli.config import one_blas_thread
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
-from limbcli.diagnosis.explanations.engine import _Run
 from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.diagnosis.explanations.search import Search
+from limbcli.diagnosis.explanations.verdict import _Run
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.prepare import WorkingMesh, prepare
 from limbcli.drawing import save_figure

@@ -15,9 +15,9 @@ import numpy as np
 from limbcli.diagnosis.data.noise_parts import KnownErrors, ModelError
 from limbcli.diagnosis.data.rows import ExtraMeasurement, SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
-from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.explanations.search import containing
 from limbcli.diagnosis.explanations.sentences import recommended
+from limbcli.diagnosis.explanations.verdict import diagnose
 from limbcli.diagnosis.forward_model.measurement_menu import ROTATE, items
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
-from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.explanations.residuals import force_jump
 from limbcli.diagnosis.explanations.sentences import sentences
+from limbcli.diagnosis.explanations.verdict import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.effects.reading import Reading
 from limbcli.errors import MeasurementError

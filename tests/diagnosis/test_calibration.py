@@ -9,11 +9,11 @@ import pytest
 from scipy.stats import binom
 
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.explanations.laplace import posterior
 from limbcli.diagnosis.explanations.linear_evidence import LinearEvidence, least_by_chance
 from limbcli.diagnosis.explanations.noise import unit_errors
 from limbcli.diagnosis.explanations.search import PriorOdds
+from limbcli.diagnosis.explanations.verdict import diagnose
 from limbcli.numbers.whitening import Whitener
 from tests.diagnosis import toy
 

@@ -130,7 +130,7 @@ def test_the_interval_of_a_size_alone_is_over_its_grid(rng):
 @pytest.mark.parametrize("times", [1.0, 3.0])
 def test_sizes_are_as_wide_as_the_data_scatter(times):
     """Where they scatter more than their stated noise, sizes that are 0 are still inside at their rate."""
-    from limbcli.diagnosis.explanations.engine import diagnose
+    from limbcli.diagnosis.explanations.verdict import diagnose
 
     rng, inside = np.random.default_rng(5), []
     for seed in range(16):

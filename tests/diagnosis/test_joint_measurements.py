@@ -10,7 +10,7 @@ import pytest
 from limbcli.diagnosis.data.noise_parts import GAIN_OF_SPEEDS
 from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import joined, site_data, slices
-from limbcli.diagnosis.explanations.engine import diagnose
+from limbcli.diagnosis.explanations.verdict import diagnose
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.diagnosis.written_result import reported_sizes, sizes_of

@@ -13,7 +13,7 @@ from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
-from limbcli.diagnosis.explanations.engine import diagnose
+from limbcli.diagnosis.explanations.verdict import diagnose
 from limbcli.diagnosis.forward_model.changes import line_shift
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves

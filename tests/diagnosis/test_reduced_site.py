@@ -12,10 +12,10 @@ from limbcli.diagnosis.data.noise_parts import IN_MAPS, LEAST_IN_MAPS, STRAIN, K
 from limbcli.diagnosis.data.rows import SiteReadings
 from limbcli.diagnosis.data.site_data import site_data
 from limbcli.diagnosis.explanations import decisions
-from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.explanations.laplace import posterior
 from limbcli.diagnosis.explanations.search import form_error
 from limbcli.diagnosis.explanations.sentences import sentences
+from limbcli.diagnosis.explanations.verdict import diagnose
 from limbcli.diagnosis.forward_model.changes import logs
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves

@@ -11,8 +11,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from limbcli.diagnosis import written_result as pictures
 from limbcli.diagnosis.data.rows import SiteRows
-from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.explanations.sentences import sentences
+from limbcli.diagnosis.explanations.verdict import diagnose
 from limbcli.diagnosis.written_result import (
     _in_plausible_sizes,
     candidates_picture,

@@ -35,7 +35,7 @@ from limbcli.imaging.surface import read_surface
 from limbcli.imaging.volume import Volume
 from limbcli.measurement.elastography import check_maps
 from limbcli.measurement.indentation import check_levels, check_trace
-from limbcli.measurement.recording import read_recording
+from limbcli.measurement.load_cell_record import read_recording
 from limbcli.measurement.ultrasound_image import read_image
 from limbcli.meshing import surfaces
 from limbcli.model.npz_file import load_model, save_model

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeasurementError, ToolError
-from limbcli.measurement.recording import RecordingFormat, read_recording
+from limbcli.measurement.load_cell_record import RecordingFormat, read_recording
 
 FORCE = np.r_[np.zeros(100), np.full(100, 2.0)]
 NAMED = RecordingFormat(columns={"force_n": "Force"})

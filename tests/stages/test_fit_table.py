@@ -12,9 +12,9 @@ from limbcli.fitting import joint_picture
 from limbcli.fitting import result as fit_result
 from limbcli.fitting.result import summarise, write_agreement, write_curves
 from limbcli.fitting.table import Identified, step_agreement, step_table, total_covariance
-from limbcli.inference.interval import Stiffness
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import Profile
+from limbcli.inference.profile_intervals import Stiffness
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
 from limbcli.results import open_stage, read_result
 from tests.loading import module_at

@@ -13,7 +13,7 @@ from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem
 from limbcli.measurement.holds import Hold, cycles_of_holds, find_holds, missing_levels, without_probe_weight
 from limbcli.measurement.indentation import check_values
-from limbcli.measurement.recording import RecordingFormat, read_recording
+from limbcli.measurement.load_cell_record import RecordingFormat, read_recording
 from limbcli.measurement.trace import Trace
 from limbcli.results import StageWriter
 

@@ -10,9 +10,9 @@ import pytest
 from scipy.stats import binom
 
 from limbcli.diagnosis.explanations import decisions, engine
-from limbcli.diagnosis.explanations.engine import diagnose
 from limbcli.diagnosis.explanations.residuals import Check
 from limbcli.diagnosis.explanations.sentences import sentences
+from limbcli.diagnosis.explanations.verdict import diagnose
 from tests.diagnosis import toy
 
 

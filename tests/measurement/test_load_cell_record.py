@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.recording import RecordingFormat, read_recording
+from limbcli.measurement.load_cell_record import RecordingFormat, read_recording
 from limbcli.measurement.trace import check_trace
 
 LVM = """LabVIEW Measurement

@@ -5,11 +5,11 @@ import pytest
 
 from limbcli.errors import SolveError
 from limbcli.inference import interval as interval_module
-from limbcli.inference.interval import Stiffness, force_intervals
 from limbcli.inference.least_squares import least_squares_fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import profile_likelihood
+from limbcli.inference.profile_intervals import Stiffness, force_intervals
 from limbcli.inference.residual import Residual
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
 
