@@ -25,6 +25,7 @@ from limbcli.stages import limb as stage
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.limb_field.case_field import CaseField
 from limbcli.stages.limb_field.site_results import LimbReadings
+from limbcli.stages.limb_model.hand_over import _force_in_words
 from limbcli.stages.segment import SegmentOptions, segment
 from limbcli.stiffness_field import Interval, SiteReading, stiffness_field
 from limbcli.surface_formats.aop import read_aop_limb
@@ -319,3 +320,13 @@ def test_the_leg_of_the_visible_human(shared: Path, tmp_path: Path):
     result = limb(case, out=tmp_path / "out", options=options)
     assert "distal_end" in result.data["missing_parts"]
     assert {"patch_patellar_tendon", "patch_popliteal", "distal_cut"} <= set(result.data["surfaces"])
+
+
+def test_the_readme_tells_what_the_limb_gives_of_a_sites_force():
+    assert _force_in_words({"force_on_limb": 1.004, "limb_over_site": 0.9}).endswith(
+        "100.4 % of the fit's force (simulated)"
+    )
+    assert "90 % of the force of the site's model" in _force_in_words(
+        {"force_on_limb": None, "limb_over_site": 0.9}
+    )
+    assert _force_in_words({"c_kpa": [8.0, 7.0, 9.0]}) == ""

@@ -102,7 +102,7 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
     ]
     of_sites = stiffness.get("field", {}).get("sites", {})
     sites = [
-        f"site {name}: c = {each['c_kpa'][0]:.4g} kPa, from {each['source']}"
+        f"site {name}: c = {each['c_kpa'][0]:.4g} kPa, from {each['source']}{_force_in_words(each)}"
         for name, each in of_sites.items() if "c_kpa" in each
     ]  # fmt: skip
     return (
@@ -127,10 +127,20 @@ def _readme(files: LimbFiles, writer: StageWriter, segmented: StageResult) -> st
             labels=", ".join(f"{k} {name}" for k, name in enumerate(LABELS)),
             layers=layers,
             sites=sites,
+            site_size=data["asked"].get("site_size"),
             source=segmented.data.get("source", "segment"),
             warnings=list(dict.fromkeys(writer.warnings)),
         )
     )
+
+
+def _force_in_words(site: Mapping[str, Any]) -> str:
+    """What the limb's force under a probe at a site is, of the one that its fit found."""
+    if (simulated := site.get("force_on_limb")) is not None:
+        return f"; under a probe the limb gives {100 * simulated:.1f} % of the fit's force (simulated)"
+    if (taken := site.get("limb_over_site")) is None:
+        return ""
+    return f"; the limb is taken to give {100 * taken:.0f} % of the force of the site's model (not simulated)"
 
 
 def _vector(values: list[float], digits: int) -> str:
