@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from scipy.stats import binom
 
-from limbcli.diagnosis.explanations import decisions, engine
+from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations import verdict as module
 from limbcli.diagnosis.explanations.residuals import Check
 from limbcli.diagnosis.explanations.sentences import sentences
 from limbcli.diagnosis.explanations.verdict import diagnose
@@ -52,7 +53,7 @@ def test_a_clear_effect_is_named_and_sized(rng, name, size):
 
 def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
     """However probable it is."""
-    case, usual = toy.make(rng, {"offset": 5.0}), engine.estimates
+    case, usual = toy.make(rng, {"offset": 5.0}), module.estimates
 
     def wide(several, **more):
         found = usual(several, **more)
@@ -60,7 +61,7 @@ def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
             found, intervals={name: (min(low, -1.0), high) for name, (low, high) in found.intervals.items()}
         )
 
-    monkeypatch.setattr(engine, "estimates", wide)
+    monkeypatch.setattr(module, "estimates", wide)
     found = run(case)
     assert found.verdict == "ambiguous"
     assert found.effects["offset"] >= decisions.CREDIBLE
@@ -71,13 +72,13 @@ def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
 @pytest.mark.parametrize(("p", "verdict"), [(0.06, "named"), (0.04, "ambiguous")])
 def test_an_effect_that_leaves_a_part_of_the_data_is_not_named(rng, monkeypatch, p, verdict):
     """However probable it is among those known: something else may be missing."""
-    case, usual = toy.make(rng, {"offset": 5.0}), engine.checked
+    case, usual = toy.make(rng, {"offset": 5.0}), module.checked
 
     def with_one_part_left(*arguments):
         whole, first, *others = usual(*arguments).parts
         return Check((whole, replace(first, name="the force", p_adjusted=p), *others))
 
-    monkeypatch.setattr(engine, "checked", with_one_part_left)
+    monkeypatch.setattr(module, "checked", with_one_part_left)
     found = run(case)
     assert found.effects["offset"] >= decisions.CREDIBLE
     assert found.verdict == verdict

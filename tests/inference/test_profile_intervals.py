@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
-from limbcli.inference import interval as interval_module
+from limbcli.inference import profile_intervals as interval_module
 from limbcli.inference.least_squares import least_squares_fit
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
