@@ -395,6 +395,26 @@ def with_gradual_release(model: LimbModel, donned: SocketState) -> LimbModel:
     return replace(model, curves=curves, steps=(donning, replace(loading, drives=(*loading.drives, *still))))
 
 
+def for_febio(model: LimbModel) -> LimbModel:
+    """The model of `DonningResult` with the load steps in which FEBio finds its pressures: half of them where
+    there is friction by the penalty alone.
+
+    Each step of such contact forgets the shear of the steps before. FEBio forgets twice in every step, as it
+    measures the step's shear anew from where the first iterate ends (FEBio 4.11, its pressures with N steps
+    and those of the reference solver with 2 N: `tests/benchmarks/figures/socket.md`).
+    """
+    if not model.has_friction or any(each.augmented for each in model.contacts):
+        return model
+    return replace(model, steps=tuple(_halved(step) for step in model.steps))
+
+
+def _halved(step: Step) -> Step:
+    in_unit = -(-round(1.0 / step.step_size) // 2)  # rounded up
+    n_units = round(step.n_steps * step.step_size)
+    size = 1.0 / in_unit
+    return replace(step, n_steps=in_unit * n_units, step_size=size, dt_max=size)
+
+
 def _knee_drives(options: DonningOptions, centre: Array) -> tuple[Drive, ...]:
     """Forces across the axis, and moments about the socket's centre: of the load at the knee, and of the
     force along the limb, which acts through the knee centre too."""

@@ -24,7 +24,7 @@ from limbcli.provenance.requested_options import requested_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.sockets.alignment import misplaced
-from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load
+from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load, for_febio
 from limbcli.stages.in_socket.intervals import Pose, drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
@@ -42,6 +42,10 @@ _MARGIN_MM = 10.0  # the contact sees the socket this much farther than the deep
 _LEAST_RADIUS_MM = 30.0
 _MOST_OFF = 0.1  # error of the held-out solve above which the intervals are called rough
 _SOFT_MM, _SOFT = 0.5, 0.2  # penetration that is reported: mm, and of the deepest interference
+_NOT_FOR_FEBIO = (
+    "socket.feb: under load FEBio 4.11 found no equilibrium of friction with augmented contact; for a file "
+    "that FEBio solves give --penetration-mm 0, and a --contact-penalty of 150 for a small penetration"
+)
 _BALANCE = 1e-4  # of the largest force: a larger remainder is an error
 
 
@@ -118,7 +122,9 @@ def socket(
                 f"{case.subject}: pressure on the {together.pressed}, {_words(state)}",
             )
         _write_skin(writer.file("skin", "skin_pressure.npz"), result, together)
-        write_feb(result.model, writer.file("feb", "socket.feb"), templates)
+        write_feb(for_febio(result.model), writer.file("feb", "socket.feb"), templates)
+        if result.model.has_friction and donning.penetration_mm is not None:
+            writer.summary.append(_NOT_FOR_FEBIO)
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
         writer.warnings.extend(limb.warnings)
     return writer.result

@@ -1,15 +1,16 @@
-"""One limb in its socket in both solvers: the same socket.feb, pressure by pressure.
+"""One limb in its socket in both solvers, pressure by pressure.
 
     limbcli segment CASE --out OUT; limbcli limb CASE --out OUT --c-kpa 16
     python -m tests.benchmarks.socket_febio CASE --out OUT --work DIR [--friction 0.3] [--penetration-mm 0.1]
         [--donning-steps 10] [--load-steps 5] [--slip-as-febio] [--only reference]
 
-Writes socket.feb as `limbcli socket` does, runs the reference solver and FEBio (found as limbcli finds it, or
---febio) on it, each in a process of its own, on one thread, and prints a row for each state: the difference
-of the facets' pressures (rms over the area, as a share of the rms pressure), the same at the nodes (weighted
-by area), of the total (pressure times area), the axial forces on the socket, processor seconds and peak
-memory. With a liner that slides they are those on the skin. The pressure of a facet is the plain mean over
-its integration points, as FEBio logs it. What has run is kept in DIR.
+Writes socket.feb as `limbcli socket` does, and own.feb with the load steps of the reference solver (with
+--slip-as-febio FEBio takes as many). Runs FEBio (found as limbcli finds it, or --febio) on the first and the
+reference solver on the second, each in a process of its own, on one thread, and prints a row for each state:
+the difference of the facets' pressures (rms over the area, as a share of the rms pressure), the same at the
+nodes (weighted by area), of the total (pressure times area), the axial forces on the socket, processor
+seconds and peak memory. With a liner that slides they are those on the skin. The pressure of a facet is the
+plain mean over its integration points, as FEBio logs it. What has run is kept in DIR.
 """
 
 from __future__ import annotations
@@ -39,18 +40,18 @@ from limbcli.feb.write import write_feb
 from limbcli.fem.contacts.contact_points import TRACTION
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.model.npz_file import load_model
-from limbcli.sockets.donning import SOCKET, don_and_load, tractions
+from limbcli.sockets.donning import SOCKET, don_and_load, for_febio, tractions
 from limbcli.solvers.febio import FebioSolver
 from limbcli.stages.in_socket.limb_in_socket import put_together
 from limbcli.stages.socket import SocketOptions, donning_options
 
-REFERENCE, FEBIO = "reference.npz", "febio.npz"
+REFERENCE, FEBIO, OWN = "reference.npz", "febio.npz", "own.feb"
 PRESSURE = '<face_data data="contact pressure" delim="," file="pressure.txt" surface="{}"/></logfile>'
 FORCE = LogRecord("rigid_body", ("Fz", "z"), "force.txt", SOCKET)
 
 
 def written(options: argparse.Namespace, feb: Path) -> None:
-    """socket.feb of a case with FEBio's records of pressures and of the socket."""
+    """socket.feb and own.feb of a case with FEBio's records of pressures and of the socket."""
     case = Case.open_images(options.case)
     reading = CaseReading.of(case.raw, case.folder)
     given = read_socket(case.raw, reading)
@@ -71,7 +72,9 @@ def written(options: argparse.Namespace, feb: Path) -> None:
     )  # fmt: skip
     # solved, as the first load begins with what holds the donned socket
     asked = replace(asked, slip_as_febio=options.slip_as_febio)
-    with_records(don_and_load(together.limb, together.face, asked, threads=1).model, feb)
+    model = don_and_load(together.limb, together.face, asked, threads=1).model
+    with_records(model, feb.with_name(OWN))
+    with_records(model if options.slip_as_febio else for_febio(model), feb)
 
 
 def with_records(model: LimbModel, feb: Path) -> None:
@@ -192,7 +195,7 @@ def main() -> None:
     if not feb.is_file():
         written(options, feb)
     if options.only == "reference":
-        return reference(feb, slip_as_febio=options.slip_as_febio)
+        return reference(feb.with_name(OWN), slip_as_febio=options.slip_as_febio)
     if not (options.work / REFERENCE).is_file() and options.only != "febio":
         module = [sys.executable, "-m", "tests.benchmarks.socket_febio"]
         subprocess.run([*module, *sys.argv[1:], "--only", "reference"], check=True)

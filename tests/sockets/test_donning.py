@@ -20,7 +20,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, LogRecord, Support
 from limbcli.progress import SILENT, Progress
 from limbcli.sockets import donning
-from limbcli.sockets.donning import FACE, SOCKET, DonningOptions, don_and_load, socket_model
+from limbcli.sockets.donning import FACE, SOCKET, DonningOptions, don_and_load, for_febio, socket_model
 from limbcli.sockets.knee import KneeLoad
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import prepare
@@ -218,6 +218,40 @@ def test_donning_and_load_agree_with_febio(friction: float, as_febio: bool, fiel
         rms = np.sqrt(((rings - expected) ** 2).mean() / np.square(expected).mean())
         assert rms < field
         assert rings.sum() == pytest.approx(sum(expected), rel=0.7 * field)
+
+
+# The same of FEBio 4.11.0 on the files of `for_febio`: penalty alone, half of 24 and 8 load steps.
+FEBIO_PENALTY = ((2.7398, 2.1542, 1.8156), (3.3791, 2.1599, 1.2871))
+
+
+def test_febio_finds_the_pressures_of_the_penalty_in_half_of_the_load_steps() -> None:
+    """It forgets shear twice in each step. With as many steps as ours its field differs by 3.2 %."""
+    options = replace(OPTIONS, donning_steps=24, load_steps=8, loads_n=(0.5,))
+    found = don_and_load(limb(), face(), options, threads=1)
+    for state, expected in zip(found.states, FEBIO_PENALTY, strict=True):
+        rings = 1e3 * state.facet_pressure_mpa.reshape(16, 3).mean(axis=0)
+        np.testing.assert_allclose(rings, expected, rtol=0.01)
+    donning, loading = for_febio(found.model).steps
+    assert (donning.n_steps, loading.n_steps) == (12, 4)
+    assert (donning.must_points, loading.must_points) == ((1.0,), (1.0,))
+
+
+@pytest.mark.parametrize(
+    ("changes", "n_steps"),
+    [
+        ({"donning_steps": 5, "load_steps": 3, "loads_n": (0.5, 1.0)}, [3, 4]),
+        ({"friction": 0.0}, [6, 6]),
+        ({"penetration_mm": 0.02}, [6, 6]),
+        ({"donning_steps": 1, "loads_n": ()}, [1]),
+    ],
+)
+def test_load_steps_for_febio(changes: dict, n_steps: list[int]) -> None:
+    options = replace(OPTIONS, **{"donning_steps": 6, "load_steps": 6, "loads_n": (0.5,), **changes})
+    steps = for_febio(socket_model(limb(), face(), options)).steps
+    assert [step.n_steps for step in steps] == n_steps
+    assert [step.n_steps * step.step_size for step in steps] == pytest.approx(
+        [1.0, len(options.loads_n)][: len(steps)]
+    )
 
 
 @pytest.mark.skipif(not FebioSolver().found(), reason="needs FEBio 4: set LIMBCLI_FEBIO to its binary")
