@@ -15,8 +15,10 @@ from limbcli.inference.two_step_fit import sensitivities
 from limbcli.results import StageWriter
 
 
-def write_tissue_force(found: Identified, writer: StageWriter) -> None:
+def write_tissue_force(found: Identified, contact_penalty: float, writer: StageWriter) -> None:
     """Write `tissue_force`: the fitted forces at the loaded levels, their noise, and all simulations.
+
+    contact_penalty : of these simulations
 
     Nothing is written where the case states no noise, or the simulations lack derivatives.
     """
@@ -42,6 +44,7 @@ def write_tissue_force(found: Identified, writer: StageWriter) -> None:
         "noise_n": np.sqrt(scale) * noise,
         "model_errors_of_ln": np.array(errors),
         "c_share": c_share(found),
+        "contact_penalty": contact_penalty,
         "simulated": {
             "f_kappa": [float(theta[0]) for theta, _ in solved],
             "m": [float(theta[1]) for theta, _ in solved],

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from limbcli.feb.settings import schedule
+from limbcli.feb.settings import USUAL_PENALTY, schedule
 from limbcli.meshing.crop import within
 from limbcli.meshing.mending import Plane
 from limbcli.meshing.probe import PlacedProbe, probe_mesh
@@ -15,7 +15,13 @@ from limbcli.meshing.whole_limb import HELD
 from limbcli.model import Array, Block, LimbModel, Mesh, Support, Surface
 from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.progress import SILENT, Progress
-from limbcli.site_model.indentation_model import PROBE, TISSUE, indentation_model, starting_depth
+from limbcli.site_model.indentation_model import (
+    PROBE,
+    TISSUE,
+    indentation_model,
+    starting_depth,
+    with_penalty,
+)
 from limbcli.solvers.session import ReferenceSession
 
 _START = 0.05  # mm, how deep the probe begins
@@ -53,8 +59,13 @@ def under_probe(limb: LimbModel, probe: PlacedProbe, *, cuts: tuple[Plane, ...] 
     )
 
 
-def limb_forces(limb: LimbModel, probe: PlacedProbe, depths: Array, *, progress: Progress = SILENT) -> Array:
+def limb_forces(
+    limb: LimbModel, probe: PlacedProbe, depths: Array, *, penalty: float = USUAL_PENALTY,
+    progress: Progress = SILENT,
+) -> Array:  # fmt: skip
     """Forces (n,) N of the limb, with the laws that it has, under a probe at increasing depths (n,) mm.
+
+    penalty : of its contact, as a multiple of the tissue's stiffness at rest
 
     Raises
     ------
@@ -64,7 +75,7 @@ def limb_forces(limb: LimbModel, probe: PlacedProbe, depths: Array, *, progress:
     placed = under_probe(limb, probe)
     plan = schedule(depths.tolist(), start=starting_depth(placed, float(depths[0])))
     ready = indentation_model(placed, plan, c=1.0, f_kappa=1.0, m=2.0)  # its law is replaced by the limb's
-    ready = ready.with_material(TISSUE, limb.materials[TISSUE])
+    ready = with_penalty(ready.with_material(TISSUE, limb.materials[TISSUE]), penalty)
     session = ReferenceSession(ready, progress=progress)
     try:
         return session.solve().must_points.forces

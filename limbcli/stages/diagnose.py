@@ -18,6 +18,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.config import one_blas_thread
+from limbcli.diagnosis.diagnosed_force import diagnosed_force
 from limbcli.diagnosis.drainage import DrainageSolver
 from limbcli.diagnosis.explanations import decisions
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
@@ -259,6 +260,7 @@ def _content(
             for i in mine.interventions
         ],
         "f_kappa_held_at": F_KAPPA,
+        "tissue_force": diagnosed_force(found, mine.curves),
         "not_simulated": sorted(forward_model.not_simulated),
         "solved_in_part_mm": mine.simulations.in_part,
         "force_jump": None if jump is None else {"size_n": jump.size, "level": jump.level},

@@ -173,7 +173,7 @@ def _fit_site(
         if uncertainty is not None:
             write_geometry(identified, uncertainty, of_noise[-1] if of_noise else None, writer)
         _write_checks(identified, fitted, again, changed, writer, options)
-        write_tissue_force(identified, writer)
+        write_tissue_force(identified, fitted.contacts[0].penalty, writer)
         if of_noise is not None and len(modes):
             write_widening(of_noise[-1], writer)
         write_speeds(fitted, simulation, levels, site, writer)

@@ -78,7 +78,7 @@ def gathered(
         index: dict[str, int] = {}
         together = site.force if forces else None
         for name, interval in site.values.items():
-            if together is not None and name != "c":
+            if together is not None and name not in site.beside:
                 continue
             found = likelihood_of(interval, where=f"{name} of site {site.name}")
             if found is None:

@@ -32,6 +32,7 @@ class ForceReading:
     limb_over_site : (n,) force of the limb over that of the site's model, of the same tissue
     model_errors : (k, n) of ln force, one standard deviation of each error that does not move the field
     predict : the forces of a tissue in the site's model
+    contact_penalty : of the probe in these forces, as a multiple of the tissue's stiffness at rest
     """
 
     depths: Array
@@ -40,6 +41,7 @@ class ForceReading:
     limb_over_site: Array
     model_errors: Array
     predict: ForceOf
+    contact_penalty: float
 
     def off(self, logs: Array) -> Array:
         """ln of the forces read (n,) over the limb's of a tissue, ln of c, m, f_kappa (3,)."""

@@ -37,8 +37,8 @@ class SiteReading:
     values : "c" (MPa), "m", "f_kappa", those that are known, with 95 % intervals
     correlation : of ln of two parameters' errors, by their names in the order of `PARAMETERS`
     source : where the values come from, in words
-    force : what the force says of all parameters together. The intervals of m and f_kappa, which come from it
-        too, then only weight the hypotheses
+    force : what the force says of all parameters together. The values of the parameters that are not
+        `beside` it come from it too, and then only weight the hypotheses
     """
 
     name: str
@@ -47,6 +47,7 @@ class SiteReading:
     correlation: Mapping[tuple[str, str], float] = field(default_factory=dict)
     source: str = ""
     force: ForceReading | None = None
+    beside: tuple[str, ...] = ("c",)
 
 
 @dataclass(frozen=True, eq=False)

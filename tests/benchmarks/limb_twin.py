@@ -12,15 +12,16 @@ column is the limb's with a tissue as much stiffer as `limb` takes it: by half o
     limbcli mesh, build-feb, fit, limb --site-size-mm 2.5 CASE --out OUT
     python -m tests.benchmarks.limb_twin CASE --out OUT --field
 
-Prints a row for each site with a fit: the measured force at its deepest level, and how far from that of the
-fit are those of the site's model and of the limb, both with the tissue that the limb's stiffness field has.
-The limb has that of each element, the site's model one: the mean of logarithms over what the site averages.
+Prints a row for each site with a fit or diagnosis: the force at its deepest level of the tissue that was
+found (`tissue_force`), and how far from it are those of the site's model and of the limb, both with the
+tissue that the limb's stiffness field has. The limb has that of each element, the site's model one: the mean
+of logarithms over what the site averages. A diagnosis lies half-way between held and free cuts, the site's
+model is held.
 """
 
 from __future__ import annotations
 
 import argparse
-import csv
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -44,7 +45,12 @@ from limbcli.model.npz_file import load_model
 from limbcli.numbers.mesh_bounds import MARGIN_MM
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult
-from limbcli.site_model.indentation_model import TISSUE, indentation_model, starting_depth
+from limbcli.site_model.indentation_model import (
+    TISSUE,
+    indentation_model,
+    starting_depth,
+    with_penalty,
+)
 from limbcli.site_model.limb_under_probe import limb_forces
 from limbcli.site_model.mesh_study import StudiedTissue, full_depth, reference_force
 from limbcli.site_model.segmented_limb import named_surfaces, site_position
@@ -127,43 +133,37 @@ def print_fields(case: Case, out: Path) -> None:
     chain = Chain(case, out)
     limb = load_model(chain.result("limb").path("model"))
     shape = ProbeShape(case.probe.length, case.probe.width, case.probe.edge_radius)
-    print("| site | depth | measured | fit | site's model with the field's tissue | limb with its field |")
+    print("| site | from | depth | force | site's model with the field's tissue | limb with its field |")
     print("|-" * 6 + "|", flush=True)
     for site in case.sites:
-        fit, mesh = (chain.present(each, site=site.name) for each in ("fit", "mesh"))
-        if fit is None or mesh is None:
+        mesh, used = chain.present("mesh", site=site.name), known_of(chain, site.name)
+        told = None if used is None else used.data.get("tissue_force")
+        if mesh is None or used is None or not told:
             continue
-        depths, measured, fitted = levels_of_fit(fit)
+        depths, order = np.unique(np.array(told["depths_mm"], float), return_index=True)
+        fitted, penalty = np.array(told["fitted_n"], float)[order], float(told["contact_penalty"])
         to_model = np.linalg.inv(np.array(mesh.data["frame"]["patient_from_model"], float))
         tissue = tissue_at(limb, region_of_site(mesh))
         local = load_model(mesh.path("model"))
         local = with_layer_laws(local, layer_laws(site, layers_in(local)))
-        of_site = forces_of(local, depths, tissue)
-        of_limb = limb_forces(limb, PlacedProbe(shape, to_model), depths)
+        of_site = forces_of(local, depths, tissue, penalty)
+        of_limb = limb_forces(limb, PlacedProbe(shape, to_model), depths, penalty=penalty)
         shares = [
             f"{100 * (each[-1] / fitted[-1] - 1):+.1f} % (levels {100 * (each / fitted - 1).min():+.1f} to "
             f"{100 * (each / fitted - 1).max():+.1f})" for each in (of_site, of_limb)
         ]  # fmt: skip
-        told = f"c {1e3 * tissue.c:.2f} kPa, m {tissue.m:.2f}, f_kappa {tissue.f_kappa:.1f}"
+        words = f"c {1e3 * tissue.c:.2f} kPa, m {tissue.m:.2f}, f_kappa {tissue.f_kappa:.1f}"
         print(
-            f"| {case.subject}, {site.name} | {depths[-1]:.1f} mm | {measured[-1]:.3f} N "
-            f"| {fitted[-1]:.3f} N | {shares[0]}; {told} | {shares[1]} |",
+            f"| {case.subject}, {site.name} | {used.stage} | {depths[-1]:.1f} mm | {fitted[-1]:.3f} N "
+            f"| {shares[0]}; {words} | {shares[1]} |",
             flush=True,
         )
 
 
-def levels_of_fit(fit: StageResult) -> tuple[Array, Array, Array]:
-    """Of the levels with a measured force: depth (n,) mm; the measured and the fitted force (n,) N."""
-    with fit.path("curves").open(newline="", encoding="utf-8") as stream:
-        rows = [
-            each for each in csv.DictReader(stream) if each["measured_n"] and float(each["depth_mm"]) > 0.5
-        ]
-    table = {float(each["depth_mm"]): each for each in rows}
-    depths = sorted(table)
-    measured, fitted = (
-        np.array([float(table[each][name]) for each in depths]) for name in ("measured_n", "ogden_n")
-    )
-    return np.array(depths), measured, fitted
+def known_of(chain: Chain, site: str) -> StageResult | None:
+    """What the stiffness field takes of a site: its diagnosis if that named an effect, else its fit."""
+    fit, diagnosis = (chain.present(stage, site=site) for stage in ("fit", "diagnose"))
+    return diagnosis if diagnosis is not None and (diagnosis.data["added"] or fit is None) else fit
 
 
 def tissue_at(limb: LimbModel, region: Array) -> StudiedTissue:
@@ -178,10 +178,11 @@ def tissue_at(limb: LimbModel, region: Array) -> StudiedTissue:
     return StudiedTissue(2.0 * c1, kappa / (2.0 * c1), m1, "field")
 
 
-def forces_of(model: LimbModel, depths: Array, tissue: StudiedTissue) -> Array:
+def forces_of(model: LimbModel, depths: Array, tissue: StudiedTissue, penalty: float) -> Array:
     """Forces (n,) N at depths (n,) mm of a site's model."""
     plan = schedule(depths.tolist(), start=starting_depth(model, float(depths[0])))
-    session = ReferenceSession(indentation_model(model, plan, c=tissue.c, f_kappa=tissue.f_kappa, m=tissue.m))
+    ready = indentation_model(model, plan, c=tissue.c, f_kappa=tissue.f_kappa, m=tissue.m)
+    session = ReferenceSession(with_penalty(ready, penalty))
     try:
         return session.solve().must_points.forces
     finally:

@@ -22,7 +22,10 @@ from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
 from limbcli.provenance.remaking_command import CommandStep
 from limbcli.results import StageResult, open_stage
+from limbcli.site_model.mesh_study import StudiedTissue
 from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose
+from limbcli.stages.limb_field.site_force import force_reading
+from tests.benchmarks.limb_twin import forces_of
 from tests.case.test_case_text import two_sites
 from tests.stages import block_case as block
 
@@ -151,6 +154,19 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
     assert all(each["f_kappa"]["interval_95"][0] > 0 for each in content["explanations"] if each["fitted"])
     assert "model: f-kappa" in {each["name"] for each in content["common_errors"]}
     assert found.path("sizes").is_file()
+    told, values = content["tissue_force"], content["shrink"][-1]["values"]
+    depths, c = np.array(told["depths_mm"]), 1e-3 * values["c_kpa"]
+    tissue_force = force_reading({"tissue_force": told}, c_kpa=values["c_kpa"])
+    for m in (
+        values["m"],
+        1.3 * values["m"],
+    ):  # of a contact without penetration, which falls as 1/penalty^0.8
+        soft, hard = (forces_of(model, depths, StudiedTissue(c, 100.0, m), each) for each in (20.0, 80.0))
+        given = np.exp(tissue_force.predict(np.log([c, m, 100.0]))[0])
+        np.testing.assert_allclose(given, hard + 0.5 * (hard - soft), rtol=0.03)
+    assert tissue_force.ratio(np.log([c, values["m"], 400.0])) == pytest.approx(
+        1.0, abs=1e-3
+    )  # f_kappa is open
 
 
 def written(folder: Path, monkeypatch: pytest.MonkeyPatch, given: list[str], *sites: str) -> StageResult:

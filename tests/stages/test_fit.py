@@ -61,7 +61,9 @@ def test_what_the_force_says_of_the_tissue_is_left_for_the_limb(fitted):
     """The fitted tissue gives the fitted force, twice the c twice of it; the noise is that of 0.05 N and of
     0.1 mm times the slope; the first of the model's errors is the mesh's."""
     data = fitted[0].data
-    told, read = data["tissue_force"], force_reading(plain({**data, "boundary_check": None}))
+    told = data["tissue_force"]
+    read = force_reading(plain({**data, "boundary_check": None}), c_kpa=data["c_kpa"])
+    assert told["contact_penalty"] == 20.0
     logs = np.log([1e-3 * data["c_kpa"], data["m"], data["f_kappa"]])
     np.testing.assert_allclose(read.off(logs), 0.0, atol=1e-3)
     at, slopes = read.predict(logs + np.log([2.0, 1.0, 1.0]))

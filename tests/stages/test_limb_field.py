@@ -21,7 +21,7 @@ from limbcli.stages.limb_field.case_field import CaseField, case_field, cohort_p
 from limbcli.stages.limb_field.limb_force import as_on_limb, contradicting_forces, cut_warnings
 from limbcli.stages.limb_field.site_force import force_reading
 from limbcli.stages.limb_field.site_results import LimbReadings, of_diagnosis, of_fit, site_results
-from limbcli.stiffness_field import LABELS, limb_coordinates, stiffness_field
+from limbcli.stiffness_field import LABELS, PARAMETERS, Interval, limb_coordinates, stiffness_field
 from tests.stiffness_field import synthetic as limb
 
 NOT_KEPT = Mock(spec=StageWriter)
@@ -98,18 +98,18 @@ def test_a_fits_force_is_read_as_one_of_the_limb_half_way_to_free_cuts():
     force, and needs a tissue that gives as much more in the site's model."""
     free = {"cut_free": {"depths_mm": [2.0, 4.0], "force_change_fraction": [-0.1, -0.2]}}
     told = told_force()
-    found = force_reading({**FIT, "tissue_force": told, "boundary_check": free})
+    found = force_reading({**FIT, "tissue_force": told, "boundary_check": free}, c_kpa=8.0)
     np.testing.assert_allclose(found.limb_over_site, [0.9**0.5, 0.8**0.5])
     stiffer = np.log([0.008 / 0.8 ** (0.5 / 0.9), 4.0, 50.0])  # of c, with its share of 0.9
     assert found.ratio(stiffer) == pytest.approx(1.0, rel=1e-4)
-    held = force_reading({**FIT, "tissue_force": told})
+    held = force_reading({**FIT, "tissue_force": told}, c_kpa=8.0)
     np.testing.assert_allclose(held.limb_over_site, 1.0)
-    assert force_reading(FIT) is None
+    assert force_reading(FIT, c_kpa=8.0) is None
 
 
 def test_the_deepest_force_is_met_and_its_noise_widens_the_field():
     told = told_force()
-    found = force_reading({**FIT, "tissue_force": told})
+    found = force_reading({**FIT, "tissue_force": told}, c_kpa=8.0)
     np.testing.assert_allclose(found.noise, [0.1, 0.01 * told["fitted_n"][1]])
     np.testing.assert_allclose(found.model_errors[:2], told["model_errors_of_ln"])
     np.testing.assert_allclose(found.model_errors[2], [0.0, 0.2 / told["fitted_n"][1]])
@@ -118,7 +118,7 @@ def test_the_deepest_force_is_met_and_its_noise_widens_the_field():
 def test_a_tissues_force_is_that_of_the_fits_simulations():
     """At a simulated tissue and between two of them; c multiplies the force by its share."""
     told = told_force()
-    found = force_reading({**FIT, "tissue_force": told})
+    found = force_reading({**FIT, "tissue_force": told}, c_kpa=8.0)
     at, slopes = found.predict(np.log([0.008, 4.0, 50.0]))
     np.testing.assert_allclose(np.exp(at), told["fitted_n"], rtol=1e-6)
     np.testing.assert_allclose(slopes, [[1.0, 0.2, 0.1], [0.9, 0.3, 0.15]], atol=1e-6)
@@ -128,12 +128,31 @@ def test_a_tissues_force_is_that_of_the_fits_simulations():
     np.testing.assert_allclose(stiffer, expected, atol=1e-4)
 
 
-def test_a_force_is_read_of_a_fit_but_not_of_a_diagnosis():
-    fit = {**FIT, "tissue_force": told_force()}
+def test_the_force_of_a_diagnosis_is_read_beside_its_m_which_speeds_tell_too():
+    """Its contact is hard; of a fit it is that of the fit's model, and m is told by the force alone."""
+    fit, hard = {**FIT, "tissue_force": told_force()}, {**told_force(), "contact_penalty": 200.0}
     (site,) = read(fit=result("fit", fit)).sites
     assert site.force is not None
+    assert (site.beside, site.force.contact_penalty) == (("c",), 20.0)
     (site,) = read(fit=result("fit", fit), diagnose=result("diagnose", DIAGNOSED)).sites
     assert site.force is None
+    diagnosed = result("diagnose", {**DIAGNOSED, "tissue_force": hard})
+    (site,) = read(fit=result("fit", fit), diagnose=diagnosed).sites
+    assert (site.beside, site.force.contact_penalty) == (("c", "m"), 200.0)
+    forces = np.exp(site.force.predict(np.log([0.012, 4.0, 50.0]))[0])
+    np.testing.assert_allclose(forces, hard["fitted_n"], rtol=1e-6)
+
+
+def test_a_diagnosed_tissue_gives_its_force_in_the_field_and_keeps_its_m():
+    """12 kPa and m 3 are told; what is missing of the force is f_kappa's."""
+    told = {**told_force(), "fitted_n": [0.9, 2.6]}
+    diagnosed = result("diagnose", {**DIAGNOSED, "tissue_force": told})
+    (site,) = read(diagnose=diagnosed).sites
+    site = replace(site, values={**site.values, "m": Interval(3.0, 2.95, 3.05)})
+    field = stiffness_field(limb_coordinates(limb.SKIN, limb.BONES, limb.AXIS, where="S1"), [site], [])
+    c, m, f_kappa = (np.log(field.values_of(each, site.points).value).mean() for each in PARAMETERS)
+    assert np.exp(m) == pytest.approx(3.0, rel=0.02)
+    assert site.force.ratio(np.array([c, m, f_kappa])) == pytest.approx(1.0, abs=0.01)
 
 
 def test_a_fit_gives_all_parameters_in_mpa_with_intervals_and_correlation():
@@ -188,7 +207,7 @@ def answering(monkeypatch, less: float, *, stuck: str = "") -> list[str]:
     """A limb that gives this share of the force of the sites' models; returns the list of its simulations."""
     asked: list[str] = []
 
-    def forces_of(found, name, depths, *, progress):
+    def forces_of(found, name, depths, *, penalty, progress):
         asked.append(name)
         if name == stuck:
             raise SolveError("no equilibrium", where="limb", fix="none")
@@ -243,7 +262,7 @@ def test_a_force_that_the_fields_tissue_does_not_give_is_told(two_sites):
 def test_a_limb_that_no_tissue_brings_to_a_sites_force_is_told(two_sites, monkeypatch):
     warnings: list[str] = []
 
-    def half(found, name, depths, *, progress):
+    def half(found, name, depths, *, penalty, progress):
         (site,) = (each for each in found.field.sites if each.name == name)
         return 0.5 * site.force.fitted[np.isin(site.force.depths, depths)]
 

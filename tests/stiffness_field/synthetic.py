@@ -98,6 +98,7 @@ def with_force(read: SiteReading, tissue: np.ndarray, *, noise: float, gain: flo
 def force_reading(predict: ForceOf, forces: np.ndarray, *, noise: float, gain: float) -> ForceReading:
     """Forces at two depths with noise (a fraction) and an error of the model (standard deviation of ln)."""
     return ForceReading(
+        contact_penalty=20.0,
         depths=np.array([2.0, 4.0]), fitted=forces, noise=noise * forces, limb_over_site=np.ones(2),
         model_errors=np.full((1, 2), gain), predict=predict,
     )  # fmt: skip

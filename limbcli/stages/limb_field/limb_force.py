@@ -104,7 +104,7 @@ def _simulated(
     tissue : ln of c, m, f_kappa (3,) of the limb at the site
     """
     depths = _some(force.depths)
-    on_limb = limb_forces(limb, probe, depths, progress=progress)
+    on_limb = limb_forces(limb, probe, depths, penalty=force.contact_penalty, progress=progress)
     order = np.argsort(force.depths, kind="stable")
     of_site = np.interp(depths, force.depths[order], force.predict(tissue)[0][order])
     ratio = np.exp(np.interp(force.depths, depths, np.log(on_limb) - of_site))

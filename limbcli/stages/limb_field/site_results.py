@@ -1,7 +1,8 @@
 """The readings of a case's sites: from the diagnosis where it named an effect, else from the fit; and maps.
 
-f_kappa of a diagnosis is not taken: its interval is hardly narrower than its prior. What the force of a fit
-says of c, m and f_kappa together is a reading of its own (`site_force`).
+f_kappa of a diagnosis is not taken: its interval is hardly narrower than its prior. What a force says of c,
+m and f_kappa together is a reading of its own (`site_force`). A fit knows m by that alone, a diagnosis by
+wave speeds too, so that its m counts beside the force of its tissue.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from limbcli.stiffness_field import Interval, MapReading, SiteReading, map_readi
 
 _KEYS = {"c_kpa": "c", "m": "m", "f_kappa": "f_kappa"}
 _OF_FIT = (*_KEYS, "interval_95", "correlation", *OF_FORCE)  # what the readings are made from
-_OF_DIAGNOSIS = ("added", "shrink")
+_OF_DIAGNOSIS = ("added", "shrink", "tissue_force")
 _MISREAD = {each.name for each in EFFECTS if each.kind == "swe"}  # effects by which speeds are misread
 _MOST_CORRELATED = 0.98
 _DEEP_MM = 30.0  # region of a site without bone below it
@@ -89,8 +90,14 @@ def _add(found: LimbReadings, site: Site, mesh: StageResult, chain: Chain, write
     used = diagnosis if diagnosis is not None and (added or fit is None) else fit
     if used is not None:
         values, correlation, source = of_diagnosis(used.data) if used is diagnosis else of_fit(used.data)
-        force = force_reading(used.data) if used is fit else None
-        found.sites.append(SiteReading(site.name, region_of_site(mesh), values, correlation, source, force))
+        c_kpa, beside = (
+            (used.data["c_kpa"], ("c",)) if used is fit
+            else (used.data["shrink"][-1]["values"]["c_kpa"], ("c", "m"))
+        )  # fmt: skip
+        force = force_reading(used.data, c_kpa=float(c_kpa))
+        found.sites.append(
+            SiteReading(site.name, region_of_site(mesh), values, correlation, source, force, beside)
+        )
         writer.used_result(used, data=_OF_FIT if used is fit else _OF_DIAGNOSIS)
         writer.used_result(mesh, data=["frame", "checks/skin_bone_mm"])
     if site.swe_maps is not None:
