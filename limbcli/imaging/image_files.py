@@ -1,4 +1,4 @@
-"""Read the image that a case names: a folder with a DICOM series, or one NIfTI, NRRD or MetaImage volume."""
+"""Read the image that a case names: a folder with a DICOM series, or one volume file."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
 def _reader_of(name: str) -> Callable[[Path], Volume] | None:
     """The reader of a volume file of that name; the libraries of the other formats are not imported."""
     end = next((each[:3] for each in VOLUME_ENDINGS if name.endswith(each)), None)
-    if end == ".ni":
+    if end in (".ni", ".hd", ".mg"):
         from limbcli.imaging.nifti import read_nifti
 
         return read_nifti

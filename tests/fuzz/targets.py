@@ -186,6 +186,10 @@ def make_placed_nifti(folder: Path) -> None:
     nib.save(image, folder / "labels.nii")
 
 
+def make_mgh(folder: Path) -> None:
+    nib.save(nib.MGHImage(_labels(), np.diag([-2.0, -2.0, 4.0, 1.0])), folder / "labels.mgh")
+
+
 def make_nrrd(folder: Path) -> None:
     header = (
         "NRRD0004\ntype: uint8\ndimension: 3\nspace: left-posterior-superior\nsizes: 24 20 10\n"
@@ -423,6 +427,7 @@ TARGETS = (
     Target("NIfTI", "labels.nii", False, make_nifti("labels.nii"), read_label_file, sound_labels),
     Target("NIfTI, packed", "labels.nii.gz", False, make_nifti("labels.nii.gz"), read_label_file,
            sound_labels),
+    Target("MGH", "labels.mgh", False, make_mgh, read_label_file, sound_labels),
     Target("NRRD", "labels.nrrd", True, make_nrrd, read_label_file, sound_labels),
     Target("NIfTI image", "labels.nii", False, make_placed_nifti, read_image_file, sound_volume),
     Target("NRRD image", "labels.nrrd", True, make_nrrd, read_image_file, sound_volume),
