@@ -101,7 +101,9 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     if turned_over(datasets[0][1]):
         volume = volume.with_values(volume.values - volume.values.min())
         notes = (*notes, "Photometric Interpretation (0028,0004) is MONOCHROME1: the signal was inverted")
-    return Series(volume=volume, facts=_facts(datasets[0][1], volume), notes=remarks + notes)
+    return Series(
+        volume=volume, facts=facts_of(str(datasets[0][1].get("Modality", "")), volume), notes=remarks + notes
+    )
 
 
 def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
@@ -320,13 +322,13 @@ def _plausible(first: Slice, step: float, folder: Path) -> None:
             )
 
 
-def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:
+def facts_of(modality: str, volume: Volume) -> dict[str, Any]:
     """Technical facts only.
 
     Free-text tags (descriptions, institution) may identify the patient and are omitted.
     """
     return {
-        "modality": str(dataset.get("Modality", "")),
+        "modality": modality,
         "n_slices": volume.shape[2],
         "matrix": list(volume.shape[:2]),
         "spacing_mm": [round(float(each), 4) for each in volume.spacing],

@@ -71,10 +71,9 @@ def read_nifti(path: Path) -> Volume:
         position; each with its own message.
     """
     image = open_nifti(path, noun="image")
-    _scalar(image, path)
-    shape = _one_volume(image.shape, path)
+    _require_one_scalar_volume(image, path)
     values = nifti_values(image, path, noun="image", dtype=np.float32)
-    return Volume(values.reshape(shape), RAS_FROM_LPS @ image.affine)
+    return Volume(values.reshape(image.shape[:3]), RAS_FROM_LPS @ image.affine)
 
 
 def read_nifti_labels(path: Path) -> tuple[Volume, dict[int, str]]:
@@ -181,32 +180,21 @@ def _unreadable(path: Path, noun: str, error: BaseException) -> CaseError:
     return CaseError(f"the {noun} cannot be read ({error})", where=str(path), fix=_SAVE)
 
 
-def _scalar(image: Opened, path: Path) -> None:
-    kind = image.get_data_dtype()
-    if kind.names is not None:
-        what = f"the image holds colours ({'/'.join(kind.names)}), not a signal"
-        raise CaseError(what, where=str(path), fix="export the grey values")
-    if kind.kind == "c":
-        what = "the image holds complex numbers"
-        raise CaseError(what, where=str(path), fix="export its magnitude")
-
-
-def _one_volume(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
-    extra = math.prod(shape[3:])
-    if len(shape) > 3 and extra > 1:
-        raise CaseError(
-            f"the image holds {extra} volumes ({len(shape)}-D: echoes, time points, directions)",
-            where=str(path),
-            fix="save only the T1-weighted volume (fslroi, or 3D Slicer), and give that file",
-            n_volumes=extra,
-        )
-    if len(shape) < 3:
-        raise CaseError(
-            f"the image has {len(shape)} dimensions: a slice, not a volume",
-            where=str(path),
-            fix="use the whole volume",
-        )
-    return int(shape[0]), int(shape[1]), int(shape[2])
+def _require_one_scalar_volume(image: Opened, path: Path) -> None:
+    kind, shape = image.get_data_dtype(), image.shape
+    n_volumes = math.prod(shape[3:])
+    one = "save only the T1-weighted volume (fslroi, or 3D Slicer), and give that file"
+    several = f"holds {n_volumes} volumes ({len(shape)}-D: echoes, time points, directions)"
+    flat = f"has {len(shape)} dimensions: a slice, not a volume"
+    faults = [
+        (kind.names is not None, f"holds colours ({'/'.join(kind.names or ())})", "export the grey values"),
+        (kind.kind == "c", "holds complex numbers", "export its magnitude"),
+        (n_volumes > 1, several, one),
+        (len(shape) < 3, flat, "use the whole volume"),
+    ]
+    for is_so, what, fix in faults:
+        if is_so:
+            raise CaseError(f"the image {what}", where=str(path), fix=fix)
 
 
 def _one_geometry(image: Opened, path: Path, *, noun: str) -> None:
