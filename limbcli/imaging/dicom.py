@@ -89,7 +89,12 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
         remarks = _one_series(datasets, folder) + one_body(datasets, folder)
     except DICOM_DAMAGED as error:
         raise damaged(str(folder), error) from error
-    slices = [each for name, dataset in datasets for each in _slices(dataset, name)]
+    slices: list[Slice] = []
+    for name, dataset in datasets:
+        try:
+            slices += slices_of(dataset, name)
+        except DICOM_DAMAGED as error:
+            raise damaged(name, error) from error
     _same_shape(slices, folder)
     normal = _common_normal(slices, folder)
     heights = np.array([each.position @ normal for each in slices])
@@ -170,13 +175,6 @@ def _read(path: Path, number: int) -> Dataset | None:
             raise damaged(f"file {number} in order of name", error) from error
         return None
     return dataset if has_preamble(path) or "Rows" in dataset else None
-
-
-def _slices(dataset: Dataset, name: str) -> list[Slice]:
-    try:
-        return slices_of(dataset, name)
-    except DICOM_DAMAGED as error:
-        raise damaged(name, error) from error
 
 
 def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:

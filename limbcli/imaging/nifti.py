@@ -8,6 +8,8 @@ refused: it has voxel sizes only, and programs disagree on which side of the ima
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import nibabel as nib
@@ -15,7 +17,7 @@ import numpy as np
 from nibabel.filebasedimages import ImageFileError
 from nibabel.fileholders import FileHolder
 from nibabel.freesurfer.mghformat import MGHError
-from nibabel.imageglobals import LoggingOutputSuppressor
+from nibabel.imageglobals import logger as nibabel_logger
 from nibabel.spatialimages import HeaderDataError
 from nibabel.wrapstruct import WrapStructError
 from numpy.typing import DTypeLike, NDArray
@@ -103,7 +105,7 @@ def open_nifti(path: Path, *, noun: str) -> Opened:
         where it lies in the patient, or says it in two ways.
     """
     try:
-        with LoggingOutputSuppressor():  # it writes damaged headers to the terminal
+        with _quiet():
             is_packed = path.name.lower().endswith((".gz", ".mgz"))
             image = _packed(path) if is_packed else _plain(path)
         header = image.header
@@ -134,6 +136,16 @@ def nifti_values(image: Opened, path: Path, *, noun: str, dtype: DTypeLike | Non
         return np.asarray(image.dataobj, dtype=dtype)
     except _DAMAGED as error:
         raise _unreadable(path, noun, error) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without nibabel's words on damaged headers, which its LoggingOutputSuppressor (5.4) lets through."""
+    was, nibabel_logger.disabled = nibabel_logger.disabled, True
+    try:
+        yield
+    finally:
+        nibabel_logger.disabled = was
 
 
 def _plain(path: Path) -> Opened:

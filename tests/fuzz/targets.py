@@ -171,7 +171,8 @@ def _labels() -> np.ndarray:
 
 def make_nifti(name: str) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
-        image = nib.Nifti1Image(_labels(), np.diag([-2.0, -2.0, 4.0, 1.0]))
+        kind = nib.Nifti1Pair if name.endswith(".hdr") else nib.Nifti1Image
+        image = kind(_labels(), np.diag([-2.0, -2.0, 4.0, 1.0]))
         image.header.set_xyzt_units("mm")
         nib.save(image, folder / name)
 
@@ -427,6 +428,7 @@ TARGETS = (
     Target("NIfTI", "labels.nii", False, make_nifti("labels.nii"), read_label_file, sound_labels),
     Target("NIfTI, packed", "labels.nii.gz", False, make_nifti("labels.nii.gz"), read_label_file,
            sound_labels),
+    Target("NIfTI pair", "labels.hdr", False, make_nifti("labels.hdr"), read_label_file, sound_labels),
     Target("MGH", "labels.mgh", False, make_mgh, read_label_file, sound_labels),
     Target("NRRD", "labels.nrrd", True, make_nrrd, read_label_file, sound_labels),
     Target("NIfTI image", "labels.nii", False, make_placed_nifti, read_image_file, sound_volume),

@@ -277,6 +277,18 @@ def test_files_that_are_cut_short_are_refused(image, tmp_path, name, cut):
         read_image(path)
 
 
+def test_what_nibabel_says_of_a_damaged_header_is_not_written_to_the_terminal(image, tmp_path, caplog):
+    path = nifti(image, tmp_path / "a.nii")
+    content = bytearray(path.read_bytes())
+    content[252:254] = (77).to_bytes(2, "little")  # qform_code
+    path.write_bytes(bytes(content))
+    assert nib.load(path).shape == (7, 6, 5)
+    assert "qform_code 77 not valid" in caplog.text
+    caplog.clear()
+    assert read_image(path).volume.shape == (7, 6, 5)
+    assert caplog.records == []
+
+
 def test_other_files_are_refused_with_what_can_be_read(tmp_path):
     (tmp_path / "a.img").write_text("x")
     with pytest.raises(CaseError, match=r"not in a supported image format") as caught:
