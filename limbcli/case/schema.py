@@ -291,21 +291,15 @@ def stretch(value: object) -> str | None:
     return None if value == "unknown" else number(*STRETCHES, "")(value)
 
 
-VOLUME_ENDINGS = (
-    ".nii",
-    ".nii.gz",
-    ".nrrd",
-    ".nhdr",
-    ".mha",
-    ".mhd",
-)  # suffixes of an MRI volume in one file
+# of a volume, or of the header whose values lie beside it
+VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd", ".hdr", ".mgh", ".mgz")
 
 SUBJECT = {
     "id": Key("text", plain_name, required=True),
     "limb": Key("left | right", one_of("left", "right"), required=True),
 }
 IMAGING = {
-    "mri": Key("folder of DICOM files, or a multi-frame DICOM, NIfTI, NRRD or MetaImage file", text),
+    "mri": Key("folder of DICOM files, or a multi-frame DICOM, NIfTI, NRRD, MetaImage or MGH file", text),
     "labels": Key("file or folder, or a table with it, or a list of such tables", label_sources),
     "skin": Key("file", text),
     "bones": Key("list of files", texts),

@@ -85,6 +85,8 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     "did you mean 'length_mm'?"
     >>> suggestion("depth_cm", ["depth_mm", "force_n"])
     "did you mean 'depth_mm'? Then convert the values: that one is in mm"
+    >>> suggestion("speed_kpa", ["speed_m_per_s"])[-44:]
+    'or the square root of a shear modulus in kPa'
     >>> suggestion("colour", ["length_mm"])
     "known here: 'length_mm'"
     """
@@ -106,4 +108,4 @@ def _other_unit(name: str, near: str) -> str:
         if stem != near and name != near and rest != name and rest in _OTHER_UNITS:
             told = f" Then convert the values: that one is in {unit}"
             return f"{told}: {SPEED_FROM_KPA}" if unit == "m/s" and rest.endswith("kpa") else told
-    return ""
+    return " It holds E = 3 mu, not the shear modulus mu" if near.endswith("_young_kpa") else ""

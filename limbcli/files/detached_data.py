@@ -1,4 +1,4 @@
-"""Data files that belong to a header of a few lines (`.nhdr`, `.mhd`) and lie beside it."""
+"""Data files that belong to a header (`.nhdr`, `.mhd`; `.hdr` of a NIfTI pair) and lie beside it."""
 
 from __future__ import annotations
 
@@ -15,13 +15,20 @@ def detached_data(path: Path) -> list[Path]:
 
     Files elsewhere are never returned: a header may come from somebody else.
     """
+    if path.suffix.lower() == ".hdr":
+        found = image_of_pair(path)
+        return [found] if found else []
     if path.suffix.lower() not in HEADERS or not path.is_file():
         return []
     with path.open("rb") as stream:
         header = stream.read(_LONGEST)
-    return [
-        found for each in _NAMES.findall(header) if (found := beside(path, each.decode("utf-8", "replace")))
-    ]
+    names = [each.decode("utf-8", "replace") for each in _NAMES.findall(header)]
+    return [each for name in names if (each := beside(path, name))]
+
+
+def image_of_pair(header: Path) -> Path | None:
+    """The values (`.img`) of a NIfTI pair, by its header (`.hdr`); None if they are not beside it."""
+    return beside(header, header.stem + (".IMG" if header.suffix.isupper() else ".img"))
 
 
 def beside(header: Path, name: str) -> Path | None:

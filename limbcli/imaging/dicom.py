@@ -89,7 +89,12 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
         remarks = _one_series(datasets, folder) + one_body(datasets, folder)
     except DICOM_DAMAGED as error:
         raise damaged(str(folder), error) from error
-    slices = [each for name, dataset in datasets for each in _slices(dataset, name)]
+    slices: list[Slice] = []
+    for name, dataset in datasets:
+        try:
+            slices += slices_of(dataset, name)
+        except DICOM_DAMAGED as error:
+            raise damaged(name, error) from error
     _same_shape(slices, folder)
     normal = _common_normal(slices, folder)
     heights = np.array([each.position @ normal for each in slices])
@@ -101,7 +106,9 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     if turned_over(datasets[0][1]):
         volume = volume.with_values(volume.values - volume.values.min())
         notes = (*notes, "Photometric Interpretation (0028,0004) is MONOCHROME1: the signal was inverted")
-    return Series(volume=volume, facts=_facts(datasets[0][1], volume), notes=remarks + notes)
+    return Series(
+        volume=volume, facts=facts_of(str(datasets[0][1].get("Modality", "")), volume), notes=remarks + notes
+    )
 
 
 def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
@@ -168,13 +175,6 @@ def _read(path: Path, number: int) -> Dataset | None:
             raise damaged(f"file {number} in order of name", error) from error
         return None
     return dataset if has_preamble(path) or "Rows" in dataset else None
-
-
-def _slices(dataset: Dataset, name: str) -> list[Slice]:
-    try:
-        return slices_of(dataset, name)
-    except DICOM_DAMAGED as error:
-        raise damaged(name, error) from error
 
 
 def _one_series(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ...]:
@@ -320,13 +320,13 @@ def _plausible(first: Slice, step: float, folder: Path) -> None:
             )
 
 
-def _facts(dataset: Dataset, volume: Volume) -> dict[str, Any]:
+def facts_of(modality: str, volume: Volume) -> dict[str, Any]:
     """Technical facts only.
 
     Free-text tags (descriptions, institution) may identify the patient and are omitted.
     """
     return {
-        "modality": str(dataset.get("Modality", "")),
+        "modality": modality,
         "n_slices": volume.shape[2],
         "matrix": list(volume.shape[:2]),
         "spacing_mm": [round(float(each), 4) for each in volume.spacing],

@@ -15,13 +15,12 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-import nibabel as nib
 import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from limbcli.errors import CaseError
-from limbcli.imaging.nifti import NIFTI_DAMAGED, one_geometry, open_nifti
-from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume
+from limbcli.imaging.nifti import Opened, nifti_values, open_nifti
+from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
 REACH = 6.0  # mm: outside the map's directions, the nearest one within this distance is used
@@ -100,18 +99,12 @@ def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
         If the file cannot be read, has another number of components, lacks its position, lies in a template's
         space, or contains no direction.
     """
-    try:
-        image = open_nifti(path)
-    except NIFTI_DAMAGED as error:
-        raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
+    image = open_nifti(path, noun="fibre map")
     if image.get_data_dtype().kind not in "fiu":
         raise CaseError("the fibre map is not a numeric NIfTI file", where=str(path), fix=_SAVE)
     shape = _shape(tuple(image.shape), path)
-    _check_place(image, path)
-    try:
-        values = np.asarray(image.dataobj, dtype=np.float64).reshape(*shape, 3)
-    except NIFTI_DAMAGED as error:
-        raise CaseError(f"the fibre map cannot be read ({error})", where=str(path), fix=_SAVE) from error
+    _check_frame(image, path)
+    values = nifti_values(image, path, noun="fibre map", dtype=np.float64).reshape(*shape, 3)
     if not np.isfinite(values).all():
         values = np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, 0.0)
     affine = RAS_FROM_LPS @ np.asarray(image.affine, dtype=np.float64)
@@ -132,25 +125,15 @@ def _shape(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
         what = f"the fibre map has {components} component{'s' if components != 1 else ''}, not 3"
         note = f" ({hint[components]})" if components in hint else ""
         raise CaseError(what + note, where=str(path), fix=_SAVE, components=components)
-    if math.prod(shape[:3]) > MOST_VOXELS:
-        raise CaseError(
-            "the fibre map has more voxels than a limb image can have", where=str(path), fix="crop it"
-        )
     return int(shape[0]), int(shape[1]), int(shape[2])
 
 
-def _check_place(image: nib.Nifti1Image, path: Path) -> None:
+def _check_frame(image: Opened, path: Path) -> None:
     code = int(image.header["sform_code"]) or int(image.header["qform_code"])
-    fix = "give the directions in the frame of the limb's own images (scanner coordinates)"
-    if code == 0:
-        what = (
-            "the fibre map does not define its orientation in the patient (qform_code and sform_code are 0)"
-        )
-        raise CaseError(what, where=str(path), fix=fix)
     if code in _TEMPLATES:
         what = f"the fibre map lies in another frame: {_TEMPLATES[code]}, not the patient's"
+        fix = "give the directions in the frame of the limb's own images (scanner coordinates)"
         raise CaseError(what, where=str(path), fix=fix)
-    one_geometry(image, path, noun="fibre map")
 
 
 def _to_lps(frame: str, affine: Array) -> Array:

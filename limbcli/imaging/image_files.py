@@ -1,4 +1,4 @@
-"""Read the image that a case names: a folder with a DICOM series, or one NIfTI, NRRD or MetaImage volume."""
+"""Read the image that a case names: a folder with a DICOM series, or one volume file."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.files.dicom import has_preamble
-from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, read_series
+from limbcli.imaging.dicom import PIXEL_MM, STEP_MM, Series, facts_of, read_series
 from limbcli.imaging.volume import Volume, require_placed
 from limbcli.progress import SILENT, Progress
 
@@ -57,19 +57,13 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
     is_ct = float(np.percentile(volume.values, _AIR_SHARE)) < _AIR_HU
     if is_ct:
         notes.append("treated as CT (HU), because of values far below 0")
-    facts = {
-        "modality": "CT" if is_ct else "MR",
-        "n_slices": volume.shape[2],
-        "matrix": list(volume.shape[:2]),
-        "spacing_mm": [round(float(each), 4) for each in volume.spacing],
-    }
-    return Series(volume=volume, facts=facts, notes=tuple(notes))
+    return Series(volume=volume, facts=facts_of("CT" if is_ct else "MR", volume), notes=tuple(notes))
 
 
 def _reader_of(name: str) -> Callable[[Path], Volume] | None:
     """The reader of a volume file of that name; the libraries of the other formats are not imported."""
     end = next((each[:3] for each in VOLUME_ENDINGS if name.endswith(each)), None)
-    if end == ".ni":
+    if end in (".ni", ".hd", ".mg"):
         from limbcli.imaging.nifti import read_nifti
 
         return read_nifti

@@ -31,8 +31,9 @@ from limbcli.imaging.label_names import (
     preset_of,
     presets_with,
 )
-from limbcli.imaging.labels import checked_labels, read_nifti_labels, require_three_dimensions
+from limbcli.imaging.labels import checked_labels, require_three_dimensions
 from limbcli.imaging.metaimage import read_metaimage
+from limbcli.imaging.nifti import read_nifti_labels
 from limbcli.imaging.nrrd import Nrrd, read_nrrd
 from limbcli.imaging.own_numbers import own_number_doubts
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
@@ -334,9 +335,9 @@ def _segments(path: Path) -> list[Segment]:
         raise CaseError(
             f"{path.name} is not in a format of label maps that is read",
             where=str(path),
-            fix=f"give a DICOM SEG, or a file that ends in {', '.join(VOLUME_ENDINGS)}; a pair of .hdr and "
-            ".img (Analyze, NIfTI), a mesh or contours: convert it in 3D Slicer or ITK-SNAP, with the image "
-            "as reference",
+            fix=f"give a DICOM SEG, or a file that ends in {', '.join(VOLUME_ENDINGS)}; of a pair (.hdr, "
+            ".img) the .hdr; a mesh or contours: convert it in 3D Slicer or ITK-SNAP, with the image as "
+            "reference",
         )
     if name.endswith(_NRRD):
         nrrd = read_nrrd(path)

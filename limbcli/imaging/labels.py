@@ -1,8 +1,7 @@
-"""Label maps on disk: NIfTI, as read and written by 3D Slicer."""
+"""Label maps in our numbers: written as NIfTI, checked, and what is in them."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -15,10 +14,9 @@ from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
-from limbcli.imaging.nifti import NIFTI_DAMAGED, label_names_of, one_geometry, open_nifti, require_placement
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
 from limbcli.imaging.signed_distance import filled_by_slice, largest
-from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
+from limbcli.imaging.volume import RAS_FROM_LPS, Volume, require_placed
 from limbcli.model import Array
 
 _LIMB = (SOFT_TISSUE, BONE, FAT)
@@ -48,35 +46,6 @@ def write_labels(path: Path, labels: Volume) -> None:
             whole.replace(partial)
         finally:
             whole.unlink(missing_ok=True)
-
-
-def read_nifti_labels(path: Path) -> tuple[Volume, dict[int, str]]:
-    """Read a label map in any numbers from NIfTI, in patient LPS, and the names that it gives them.
-
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, or lacks its position in the patient frame.
-    """
-    try:
-        image = open_nifti(path)
-        shape = tuple(image.shape)
-        if math.prod(shape) > MOST_VOXELS:
-            raise ValueError(f"its shape is {shape}")
-        values = np.array(image.dataobj)
-        affine = np.array(image.affine, dtype=np.float64)
-    except NIFTI_DAMAGED as error:
-        raise CaseError(
-            f"the label map cannot be read ({error})",
-            where=str(path),
-            fix="save it again from 3D Slicer as NIfTI (.nii.gz)",
-        ) from error
-    while values.ndim > 3 and values.shape[-1] == 1:
-        values = values[..., 0]
-    fix = "export it again from 3D Slicer with the MRI series as its reference volume"
-    require_placement(image, path, noun="label map", fix=fix)
-    one_geometry(image, path, noun="label map")
-    return Volume(values, RAS_FROM_LPS @ affine), label_names_of(image, path)
 
 
 def checked_labels(labels: Volume, path: Path, *, is_whole: bool = True) -> Volume:

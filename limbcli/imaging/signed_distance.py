@@ -120,9 +120,8 @@ def filled_by_slice(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
 
 def box_around(mask: NDArray[np.bool_], margin: Array | float) -> tuple[slice, ...]:
     """Slices of the mask's bounding box, enlarged by `margin` voxels on every side within the array."""
-    found = []
-    for axis, more in enumerate(np.broadcast_to(margin, mask.ndim)):
-        others = tuple(each for each in range(mask.ndim) if each != axis)
-        where = np.flatnonzero(mask.any(axis=others))
-        found.append(slice(max(0, int(where[0] - more)), int(min(mask.shape[axis], where[-1] + 1 + more))))
-    return tuple(found)
+    (box,) = ndimage.find_objects(mask.astype(np.uint8))
+    sides = zip(box, mask.shape, np.broadcast_to(margin, mask.ndim), strict=True)
+    return tuple(
+        slice(max(0, int(each.start - more)), int(min(n, each.stop + more))) for each, n, more in sides
+    )

@@ -27,7 +27,8 @@ from limbcli.measurement.level_checks import (
     check_zero,
 )
 from limbcli.measurement.levels import LAYERS, Levels
-from limbcli.measurement.number_table import RawTable, read_table
+from limbcli.measurement.number_table import RawTable, problem, read_table
+from limbcli.measurement.shear_modulus import speed_from_young
 from limbcli.measurement.speed_noise import check_speed_noise
 from limbcli.measurement.trace import TRACE_OPTIONAL, TRACE_REQUIRED, Trace, check_trace, read_trace
 
@@ -37,9 +38,10 @@ __all__ = [
 ]  # fmt: skip
 
 REQUIRED = ("force_n", "depth_mm")
+_MODULI = ("swe_mean_young_kpa", "swe_sd_young_kpa")  # as scanners show them, in place of the speeds
 OPTIONAL = (
     "swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold_s", "probe_travel_mm", "skin_bone_mm",
-    "cycle", *(f"{name}_mm" for name in LAYERS),
+    "cycle", *(f"{name}_mm" for name in LAYERS), *_MODULI,
 )  # fmt: skip
 TEXTS = ("phase",)
 _MANY = 10**6  # upper limit of the number of cycles
@@ -69,6 +71,7 @@ def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels
         return None, problems
     levels = _levels(table, path)
     problems += check_count(levels, path)
+    problems += _check_moduli(table, path)
     problems += check_phase(levels, table, path)
     problems += check_cycles(levels, table, path)
     problems += check_columns(levels, table, path)
@@ -88,17 +91,30 @@ def check_levels(path: Path, *, noise: LayerNoise | None = None) -> tuple[Levels
     return levels, problems
 
 
+def _check_moduli(table: RawTable, path: Path) -> list[Problem]:
+    """Speeds or moduli, never both; the spread of a modulus needs the modulus."""
+    moduli = [name for name in _MODULI if name in table.numbers]
+    speeds = [name for name in ("swe_mean_m_per_s", "swe_sd_m_per_s") if name in table.numbers]
+    if moduli and speeds:
+        what = f"{moduli[0]} and {speeds[0]} are two figures of one reading"
+        return [problem(what, path, "keep the speeds, or the moduli; none is computed from both")]
+    if moduli == ["swe_sd_young_kpa"]:
+        return [problem("swe_sd_young_kpa is given without swe_mean_young_kpa", path, "add it")]
+    return []
+
+
 def _levels(table: RawTable, path: Path) -> Levels:
     missing = np.full(len(table), np.nan)
     thickness = {name: table.numbers.get(f"{name}_mm", missing) for name in LAYERS}
     phase = table.texts.get("phase", ["load"] * len(table))
-    speed, pixels = (table.numbers.get(name, missing) for name in ("swe_mean_m_per_s", "swe_pixels"))
+    mean, sd = speed_from_young(*(table.numbers.get(name, missing) for name in _MODULI))
+    speed, pixels = table.numbers.get("swe_mean_m_per_s", mean), table.numbers.get("swe_pixels", missing)
     cycle = np.nan_to_num(table.numbers.get("cycle", np.ones(len(table))), nan=0.0)
     return Levels(
         force=table.numbers["force_n"],
         depth=table.numbers["depth_mm"],
         swe_mean_m_per_s=speed,
-        swe_sd_m_per_s=table.numbers.get("swe_sd_m_per_s", missing),
+        swe_sd_m_per_s=table.numbers.get("swe_sd_m_per_s", sd),
         # no pixel and no speed: not measured
         swe_pixels=np.where((pixels == 0) & np.isnan(speed), np.nan, pixels),
         phase=tuple(each or "load" for each in phase),

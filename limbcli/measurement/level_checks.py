@@ -360,12 +360,15 @@ def check_swe(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
         return [problem("there is no shear-wave speed at any level", path, fix, warning=True)]
     for k in np.flatnonzero((speed < _SPEED_LOW_M_PER_S) | (speed > _SPEED_HIGH_M_PER_S)):
         too_fast = speed[k] > _SPEED_HIGH_M_PER_S
-        unit = "a modulus in MPa, or a masked value?"
+        unit = "in m/s (is it a modulus in MPa, or a masked value?)"
         if too_fast:
-            unit = f"in cm/s, or a modulus in kPa? then write {SPEED_FROM_KPA}"
-        what = f"swe_mean_m_per_s is {speed[k]:g}; soft tissue gives {_SPEED_LOW_M_PER_S:g} to "
+            unit = f"in m/s (is it in cm/s, or a modulus in kPa? then write {SPEED_FROM_KPA})"
+        name = "swe_mean_m_per_s"
+        if name not in table.numbers:
+            name, unit = "the speed from swe_mean_young_kpa", "Young's modulus in kPa (is it in Pa or MPa?)"
+        what = f"{name} is {speed[k]:g}; soft tissue gives {_SPEED_LOW_M_PER_S:g} to "
         what += f"{_SPEED_HIGH_M_PER_S:g} m/s"
-        problems.append(problem(what, path, f"the column is in m/s (is it {unit})", line=table.lines[k]))
+        problems.append(problem(what, path, f"the column is {unit}", line=table.lines[k]))
     if speed[0] > _SPEED_UNUSUAL_M_PER_S:
         what = f"the speed at level 0 is {speed[0]:g} m/s; relaxed soft tissue is slower, mostly 1 to 3.5 m/s"
         fix = "check that the column holds speeds (m/s), not a modulus (kPa), and that the muscle was relaxed"

@@ -1,4 +1,4 @@
-"""Shear modulus of the tissue from the speed of shear waves."""
+"""Shear modulus of the tissue from the speed of shear waves, and their speed from what a scanner shows."""
 
 from __future__ import annotations
 
@@ -46,3 +46,20 @@ def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m
             value_m_per_s=value,
         )
     return units.mpa_from_pa(density_kg_per_m3 * speed**2)
+
+
+def speed_from_young(mean_kpa: Array, sd_kpa: Array) -> tuple[Array, Array]:
+    """Mean and standard deviation of the speeds, m/s, from those of E = 3 rho v**2 with rho 1000 kg/m^3.
+
+    Scanners show E, in kPa, of a region of interest (a "Q-Box"). Both figures are right to the second order
+    of SD / mean; for the mean speed that is a correction of SD^2 / (8 mean^2). Moduli that are not positive
+    give speeds that are not. All shapes (n_levels,).
+
+    >>> mean, sd = speed_from_young(np.array([12.0]), np.array([3.0]))
+    >>> mean.round(3), sd.round(3)
+    (array([1.984]), array([0.25]))
+    """
+    of_mean = np.sign(mean_kpa) * np.sqrt(np.abs(mean_kpa) / 3.0)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.where(np.isfinite(sd_kpa), sd_kpa / mean_kpa, 0.0)
+    return of_mean * (1.0 - spread**2 / 8.0), np.where(np.isfinite(sd_kpa), of_mean * spread / 2.0, np.nan)

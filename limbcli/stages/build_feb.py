@@ -21,7 +21,7 @@ from limbcli.feb.settings import Schedule, schedule
 from limbcli.feb.write import write_feb
 from limbcli.files.atomic import sha256
 from limbcli.measurement.indentation import Levels
-from limbcli.measurement.regression import speed_against_force
+from limbcli.measurement.regression import speed_line
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import LimbModel
 from limbcli.model.abaqus_input import write_abaqus
@@ -159,7 +159,7 @@ def no_level_0(levels: Levels, site: Site) -> str | None:
     why = f"there is no level 0: c is that of SWE at {_first_level(levels)}, of tissue that is already loaded"
     rows = levels.loading
     try:
-        line = speed_against_force(levels.force[rows], levels.swe_mean_m_per_s[rows])
+        line = speed_line(levels.force[rows], levels.swe_mean_m_per_s[rows], against="force")
     except MeasurementError:
         return why + "; measure one, or give c with --c-kpa"
     if line.n < _LINE_NEEDS or line.intercept <= 0:

@@ -19,7 +19,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.runnable import runnable
 from limbcli.files.xml import XmlError, mixed_text, own_text, parsed_xml
 from limbcli.imaging.label_files import read_label_file
-from limbcli.imaging.nifti import label_names_of, open_nifti
+from limbcli.imaging.nifti import read_nifti_labels
 from limbcli.imaging.surface import read_surface
 from limbcli.surface_formats.vtk_xml import read_vtk_xml
 
@@ -147,7 +147,7 @@ def test_numbers_after_a_tag_in_an_array_count(tmp_path: Path, inside: str) -> N
 
 def test_names_around_a_comment_are_whole(tmp_path: Path) -> None:
     path = write_labels(tmp_path, "")
-    assert label_names_of(open_nifti(path), path) == {1: "muscle", 2: "tibia"}
+    assert read_nifti_labels(path)[1] == {1: "muscle", 2: "tibia"}
     assert own_text(parsed_xml(b"<Label>left<!-- a --> tibia</Label>")) == "left tibia"
 
 

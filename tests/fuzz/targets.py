@@ -171,7 +171,8 @@ def _labels() -> np.ndarray:
 
 def make_nifti(name: str) -> Callable[[Path], None]:
     def make(folder: Path) -> None:
-        image = nib.Nifti1Image(_labels(), np.diag([-2.0, -2.0, 4.0, 1.0]))
+        kind = nib.Nifti1Pair if name.endswith(".hdr") else nib.Nifti1Image
+        image = kind(_labels(), np.diag([-2.0, -2.0, 4.0, 1.0]))
         image.header.set_xyzt_units("mm")
         nib.save(image, folder / name)
 
@@ -184,6 +185,10 @@ def make_placed_nifti(folder: Path) -> None:
     image.set_sform(affine, code=1)
     image.set_qform(affine, code=1)
     nib.save(image, folder / "labels.nii")
+
+
+def make_mgh(folder: Path) -> None:
+    nib.save(nib.MGHImage(_labels(), np.diag([-2.0, -2.0, 4.0, 1.0])), folder / "labels.mgh")
 
 
 def make_nrrd(folder: Path) -> None:
@@ -423,6 +428,8 @@ TARGETS = (
     Target("NIfTI", "labels.nii", False, make_nifti("labels.nii"), read_label_file, sound_labels),
     Target("NIfTI, packed", "labels.nii.gz", False, make_nifti("labels.nii.gz"), read_label_file,
            sound_labels),
+    Target("NIfTI pair", "labels.hdr", False, make_nifti("labels.hdr"), read_label_file, sound_labels),
+    Target("MGH", "labels.mgh", False, make_mgh, read_label_file, sound_labels),
     Target("NRRD", "labels.nrrd", True, make_nrrd, read_label_file, sound_labels),
     Target("NIfTI image", "labels.nii", False, make_placed_nifti, read_image_file, sound_volume),
     Target("NRRD image", "labels.nrrd", True, make_nrrd, read_image_file, sound_volume),

@@ -1,9 +1,10 @@
-"""Volumes as NIfTI and NRRD: the same place as the DICOM series; every refusal says what it is."""
+"""Volumes as NIfTI, MGH and NRRD: the same place as the DICOM series; every refusal says what it is."""
 
 from __future__ import annotations
 
 import bz2
 import gzip
+import struct
 from pathlib import Path
 
 import nibabel as nib
@@ -13,6 +14,7 @@ from limb_images import Limb
 
 from limbcli.case import Case
 from limbcli.errors import CaseError
+from limbcli.files.atomic import sha256
 from limbcli.imaging.dicom import read_series
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.labels import write_labels
@@ -58,6 +60,27 @@ def nrrd(image: Volume, path: Path, *, drop: str = "", **fields: str) -> Path:
     return path
 
 
+def mgh(image: Volume, path: Path, *, good_ras: int = 1, n_frames: int = 1) -> Path:
+    """As FreeSurfer's MghFormat describes it; what its footer holds may be missing."""
+    ras = (RAS_FROM_LPS @ image.affine)[:3]
+    spacing = np.linalg.norm(ras[:, :3], axis=0)
+    centre = ras @ [*(np.array(image.values.shape) / 2), 1]
+    shorts = 4
+    head = struct.pack(">7i", 1, *image.values.shape, n_frames, shorts, 0) + struct.pack(">h", good_ras)
+    head += struct.pack(">15f", *spacing, *(ras[:, :3] / spacing).T.ravel(), *centre)
+    values = image.values.astype(">i2").tobytes(order="F")
+    content = head.ljust(284, b"\0") + n_frames * values
+    path.write_bytes(gzip.compress(content) if path.suffix == ".mgz" else content)
+    return path
+
+
+def pair(image: Volume, path: Path) -> Path:
+    made = nib.Nifti1Pair(image.values, RAS_FROM_LPS @ image.affine)
+    made.set_sform(made.affine, code=1)
+    nib.save(made, path)
+    return path
+
+
 def same(found: Volume, wanted: Volume) -> None:
     np.testing.assert_allclose(found.affine, wanted.affine, atol=1e-4)
     np.testing.assert_array_equal(found.values, wanted.values)
@@ -69,6 +92,36 @@ def test_nifti_lies_where_it_was_written(image, tmp_path, name):
     same(found.volume, image)
     assert (found.facts["modality"], found.notes) == ("MR", ())
     np.testing.assert_allclose(found.facts["spacing_mm"], [0.7, 1.1, 3.0], atol=1e-3)
+
+
+@pytest.mark.parametrize("name", ["a.mgh", "a.mgz"])
+def test_mgh_lies_where_it_was_written(image, tmp_path, name):
+    same(read_image(mgh(image, tmp_path / name)).volume, image)
+
+
+def test_mgh_without_its_orientation_or_of_several_volumes_is_refused(image, tmp_path):
+    with pytest.raises(CaseError, match=r"does not define its orientation(.|\n)*goodRASFlag is 0"):
+        read_image(mgh(image, tmp_path / "a.mgz", good_ras=0))
+    with pytest.raises(CaseError, match=r"3 volumes \(4-D"):
+        read_image(mgh(image, tmp_path / "b.mgh", n_frames=3))
+
+
+def test_a_pair_of_nifti_is_one_file_whose_values_lie_beside_it(image, tmp_path):
+    path = pair(image, tmp_path / "a.hdr")
+    same(read_image(path).volume, image)
+    before = sha256(path)
+    other = path.with_suffix(".img")
+    other.write_bytes(bytes(other.stat().st_size))
+    assert sha256(path) != before
+    other.rename(tmp_path / "b.img")
+    with pytest.raises(CaseError, match=r"the \.img of the same name, are not beside it"):
+        read_image(path)
+
+
+def test_analyze_is_refused_as_its_left_is_not_known(image, tmp_path):
+    nib.save(nib.AnalyzeImage(image.values, np.diag([2.0, 2.0, 4.0, 1.0])), tmp_path / "a.hdr")
+    with pytest.raises(CaseError, match=r"does not define its orientation(.|\n)*Analyze 7\.5(.|\n)*DICOM"):
+        read_image(tmp_path / "a.hdr")
 
 
 def test_nrrd_packed_by_bzip2_is_read(image, tmp_path):
@@ -212,13 +265,28 @@ def test_voxels_no_limb_has_and_shears_are_refused(image, tmp_path):
         read_image(nrrd(Volume(image.values, image.affine @ shear), tmp_path / "b.nrrd"))
 
 
-@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd"])
-@pytest.mark.parametrize("cut", [3, 200, 400])
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.mgh", "a.mgz", "a.hdr"])
+@pytest.mark.parametrize("cut", [3, 80, 200, 400])
 def test_files_that_are_cut_short_are_refused(image, tmp_path, name, cut):
-    path = (nrrd if name.endswith("nrrd") else nifti)(image, tmp_path / name)
+    write = {".nrrd": nrrd, ".mgh": mgh, ".mgz": mgh, ".hdr": pair}.get(Path(name).suffix, nifti)
+    path = write(image, tmp_path / name)
+    path = path.with_suffix(".img") if name == "a.hdr" else path
     path.write_bytes(path.read_bytes()[:cut])
+    path = tmp_path / name
     with pytest.raises(CaseError, match=r"cannot be read|is not a NRRD"):
         read_image(path)
+
+
+def test_what_nibabel_says_of_a_damaged_header_is_not_written_to_the_terminal(image, tmp_path, caplog):
+    path = nifti(image, tmp_path / "a.nii")
+    content = bytearray(path.read_bytes())
+    content[252:254] = (77).to_bytes(2, "little")  # qform_code
+    path.write_bytes(bytes(content))
+    assert nib.load(path).shape == (7, 6, 5)
+    assert "qform_code 77 not valid" in caplog.text
+    caplog.clear()
+    assert read_image(path).volume.shape == (7, 6, 5)
+    assert caplog.records == []
 
 
 def test_other_files_are_refused_with_what_can_be_read(tmp_path):

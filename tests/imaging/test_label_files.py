@@ -271,8 +271,18 @@ def test_a_dicom_seg_needs_no_ending(truth, tmp_path, name):
 def test_other_formats_are_refused_with_those_that_are_read(truth, tmp_path):
     path = tmp_path / "a.img"
     nib.save(nib.AnalyzeImage(truth.values.astype(np.int16), np.diag([2.0, 2.0, 4.0, 1.0])), path)
-    with pytest.raises(CaseError, match=r"not in a format(.|\n)*\.nii\.gz(.|\n)*Analyze"):
+    with pytest.raises(CaseError, match=r"not in a format(.|\n)*\.nii\.gz(.|\n)*the \.hdr"):
         read_label_file(path)
+    with pytest.raises(CaseError, match=r"label map does not define its orientation(.|\n)*Analyze 7\.5"):
+        read_label_file(tmp_path / "a.hdr")
+
+
+@pytest.mark.parametrize("name", ["a.mgh", "a.mgz", "a.hdr"])
+def test_a_label_map_of_freesurfer_or_in_a_pair_is_read(truth, tmp_path, name):
+    kind = nib.Nifti1Pair if name == "a.hdr" else nib.MGHImage
+    made = kind(truth.values, RAS_FROM_LPS @ truth.affine)
+    nib.save(made, tmp_path / name)
+    assert_same(read_label_file(tmp_path / name), truth)
 
 
 def test_segments_of_one_value_in_several_layers_are_told_apart_by_name(truth, tmp_path):

@@ -10,7 +10,7 @@ import pytest
 
 from limbcli.errors import CaseError
 from limbcli.imaging.label_frame import compare_frames, in_order_of
-from limbcli.imaging.labels import read_nifti_labels
+from limbcli.imaging.nifti import read_nifti_labels
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 
 SPACING = np.array([2.0, 2.0, 4.0])

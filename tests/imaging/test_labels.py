@@ -9,7 +9,8 @@ from limb_images import Limb
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
-from limbcli.imaging.labels import checked_labels, read_nifti_labels, segmentation_from, write_labels
+from limbcli.imaging.labels import checked_labels, segmentation_from, write_labels
+from limbcli.imaging.nifti import read_nifti_labels
 from limbcli.imaging.volume import Volume
 
 MARKERS = ((43.5, 0.0, -8.0), (0.0, 38.0, 12.0))

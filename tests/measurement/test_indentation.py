@@ -45,6 +45,30 @@ def test_columns_are_read_in_any_order_and_missing_ones_are_nan(tmp_path: Path):
     assert levels.loading.all()
 
 
+MODULI = HEADER.replace("m_per_s", "young_kpa")
+
+
+def test_moduli_as_scanners_show_them_become_the_speeds_they_were_made_from(tmp_path: Path):
+    """Speeds that scatter by 15 %, shown as the mean and spread of E = 3 rho v^2."""
+    means = np.array([1.65, 1.8, 2.0, 2.3])
+    speeds = means[:, None] * (1 + 0.15 * np.random.default_rng(7).standard_normal((4, 20_000)))
+    moduli = 3.0 * speeds**2  # kPa
+    rows = [f"{force},{depth},{each.mean():.6g},{each.std():.6g},85"
+            for force, depth, each in zip((0, 2, 4, 6), (0, 2.1, 3.9, 5.2), moduli, strict=True)]  # fmt: skip
+    found = read_levels(write(tmp_path, MODULI, rows))
+    np.testing.assert_allclose(found.swe_mean_m_per_s, speeds.mean(axis=1), rtol=1e-3)  # third order of 15 %
+    np.testing.assert_allclose(found.swe_sd_m_per_s, speeds.std(axis=1), rtol=0.02)
+    without_spread = read_levels(write(tmp_path, MODULI, ["0,0,12,,", "2,2,12,,", "4,4,,,", "6,5,12,,"]))
+    np.testing.assert_allclose(without_spread.swe_mean_m_per_s, [2, 2, np.nan, 2])
+    assert np.isnan(without_spread.swe_sd_m_per_s).all()
+
+
+@pytest.mark.parametrize("value", ["-12", "12000"])
+def test_a_modulus_that_no_tissue_has_is_refused(tmp_path: Path, value: str):
+    with pytest.raises(MeasurementError, match=r"the speed from swe_mean_young_kpa(.|\n)*in Pa or MPa"):
+        read_levels(write(tmp_path, MODULI, [f"0,0,{value},3,90", *ROWS[1:]]))
+
+
 @pytest.mark.parametrize("separator", [";", "\t"])
 def test_spreadsheets_with_decimal_commas_are_read(tmp_path: Path, separator: str):
     ours = read_levels(write(tmp_path))
@@ -141,7 +165,9 @@ def test_wrong_row_is_named_with_its_line(tmp_path: Path, row: str, expected: st
     [
         (HEADER.replace("force_n", "force_N"), "did you mean 'force_n'"),
         (HEADER.replace("depth_mm", "depth_cm"), "did you mean 'depth_mm'? Then convert the values"),
-        (HEADER.replace("swe_mean_m_per_s", "swe_mean_kpa"), "m/s: sqrt(E/3) of a Young's modulus E in kPa"),
+        (HEADER.replace("swe_mean_m_per_s", "swe_mean_kpa"), "'swe_mean_young_kpa'? It holds E = 3 mu, not"),
+        (HEADER.replace("swe_sd_m_per_s", "swe_sd_young_kpa"), "two figures of one reading"),
+        (HEADER.replace("swe_mean_m_per_s,swe_sd_m_per_s", "hold_s,swe_sd_young_kpa"), "without swe_mean_y"),
         (HEADER.replace("force_n,", ""), "its name includes the unit (N)"),
         (HEADER.replace("swe_pixels", "depth_mm"), "appears twice"),
         (HEADER.replace(",", ";"), "the row has 1 cells, the header 5"),

@@ -7,12 +7,12 @@ import pytest
 from scipy.stats import linregress
 
 from limbcli.errors import MeasurementError
-from limbcli.measurement.regression import speed_against_depth, speed_against_force, straight_line
+from limbcli.measurement.regression import speed_line
 
 
 def test_line_agrees_with_scipy_on_random_readings(rng):
     x, y = rng.uniform(0, 26, 14), rng.normal(3, 1, 14)
-    ours, theirs = straight_line(x, y), linregress(x, y)
+    ours, theirs = speed_line(x, y, against="force"), linregress(x, y)
     assert ours.slope == pytest.approx(theirs.slope, rel=1e-12)
     assert ours.intercept == pytest.approx(theirs.intercept, rel=1e-12)
     assert ours.r2 == pytest.approx(theirs.rvalue**2, rel=1e-10)
@@ -24,25 +24,26 @@ def test_levels_without_a_reading_are_left_out(rng):
     gaps = speed.copy()
     gaps[[2, 5]] = np.nan
     keep = np.isfinite(gaps)
-    assert speed_against_force(force, gaps) == speed_against_force(force[keep], speed[keep])
-    assert speed_against_force(force, gaps).n == 6
+    found = speed_line(force, gaps, against="force")
+    assert found == speed_line(force[keep], speed[keep], against="force")
+    assert found.n == 6
 
 
 def test_speeds_that_do_not_vary_have_no_r2():
-    line = speed_against_force(np.arange(5.0), np.full(5, 2.3))
+    line = speed_line(np.arange(5.0), np.full(5, 2.3), against="force")
     assert line.r2 is None
     assert line.slope == 0.0
 
 
 def test_two_points_give_a_line_without_a_standard_error():
-    line = speed_against_depth(np.array([0.0, 4.0]), np.array([2.0, 3.0]))
+    line = speed_line(np.array([0.0, 4.0]), np.array([2.0, 3.0]), against="depth")
     assert (line.slope, line.slope_se) == (0.25, None)
 
 
 @pytest.mark.parametrize("bad", [0.0, -1.0, np.inf])
 def test_an_impossible_speed_is_named_with_its_level(bad):
     with pytest.raises(MeasurementError, match="level 1") as caught:
-        speed_against_force(np.arange(3.0), np.array([2.0, bad, 3.0]))
+        speed_line(np.arange(3.0), np.array([2.0, bad, 3.0]), against="force")
     assert caught.value.facts["level"] == 1
     assert caught.value.fix
 
@@ -50,4 +51,4 @@ def test_an_impossible_speed_is_named_with_its_level(bad):
 @pytest.mark.parametrize(("x", "y"), [([1.0], [2.0]), ([1.0, 1.0], [2.0, 3.0]), ([1.0, 2.0], [2.0, np.nan])])
 def test_too_few_readings_are_refused(x, y):
     with pytest.raises(MeasurementError, match="two different positions"):
-        straight_line(np.array(x), np.array(y))
+        speed_line(np.array(x), np.array(y), against="depth")

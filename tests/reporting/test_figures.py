@@ -20,7 +20,7 @@ from limbcli.fitting.states_result import StateReading, StatesPanel, states_figu
 from limbcli.fitting.stiffness_map import stiffness_figure
 from limbcli.inference.profile import Profile
 from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.regression import Line, speed_against_force
+from limbcli.measurement.regression import Line, speed_line
 from limbcli.model import Block, ElementMap, Mesh
 from limbcli.numbers.interval_limits import THRESHOLD_95
 from limbcli.reporting.figures.convergence import FitWalk, Residuals, fit_walk, newton_residuals
@@ -55,7 +55,7 @@ def tetrahedron() -> Mesh:
 
 def figures() -> dict[str, Figure]:
     curves = [curve("start", 9.0), curve("mooney-rivlin", 1.4), curve("ogden", 1.5)]
-    line = speed_against_force(SPEEDS.force, SPEEDS.mean_m_per_s)
+    line = speed_line(SPEEDS.force, SPEEDS.mean_m_per_s, against="force")
     walk = FitWalk("ogden", "Ogden type", np.array([5.0, 1.0]), {"f_kappa": np.array([100.0, 80.0])})
     return {
         "force-depth": force_depth(MEASURED, curves),

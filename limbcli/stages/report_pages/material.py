@@ -14,7 +14,7 @@ from limbcli.errors.problems import errors_of
 from limbcli.files.atomic import sha256
 from limbcli.fitting.fitted_cycle import contradiction
 from limbcli.measurement.indentation import Levels, check_levels, level_warnings
-from limbcli.measurement.regression import Line, speed_against_depth, speed_against_force
+from limbcli.measurement.regression import Line, speed_line
 from limbcli.measurement.repeated_loading import CycleStudy
 from limbcli.model.patient_frame import side_of
 from limbcli.progress import SILENT, Progress
@@ -84,9 +84,9 @@ def _with_speeds(material: SiteMaterial, levels: Levels) -> SiteMaterial:
     loading = np.asarray(levels.loading, dtype=bool)
     lines: list[Line | None] = []
     why = ""
-    for find, x in ((speed_against_force, levels.force), (speed_against_depth, levels.depth)):
+    for against, x in (("force", levels.force), ("depth", levels.depth)):
         try:
-            lines.append(find(x[loading], levels.swe_mean_m_per_s[loading]))
+            lines.append(speed_line(x[loading], levels.swe_mean_m_per_s[loading], against=against))
         except MeasurementError as error:
             lines.append(None)
             why = f"No line: {error.what}."
