@@ -53,5 +53,4 @@ EFFECT = Effect(
     apply=apply,
     grid=({EXPONENT: 0.0}, {EXPONENT: 3.0}),
     solves=True,
-    tell_tale="force higher than the transverse speeds predict; rotating the probe by 90 degrees reverses it",
 )

@@ -41,10 +41,11 @@ class Curves:
         lines = [] if self.log_line is None else [self.log_line]
         return np.column_stack([self.log_speed, *lines])
 
-    def with_columns(self, table: Array) -> dict[str, Array | None]:
-        """Fields of these curves with the values of such a table, for `replace`."""
+    def with_table(self, depth: Array, force: Array, table: Array) -> Curves:
+        """The curves with these depths, forces and `columns`."""
         n = self.log_speed.shape[1]
-        return {"log_speed": table[:, :n], "log_line": None if self.log_line is None else table[:, n:]}
+        lines = None if self.log_line is None else table[:, n:]
+        return replace(self, depth=depth, force=force, log_speed=table[:, :n], log_line=lines)
 
     @cached_property
     def force_curve(self) -> Monotone:
@@ -107,12 +108,8 @@ def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = 
         found = _logs_at(like, further)[:, : known.shape[1]] + apart[1]
         found = found + np.multiply.outer(further - last[1], rise)
         log_force, table = found[:, 0], found[:, 1:]
-    return replace(
-        curves,
-        depth=np.concatenate([curves.depth, further]),
-        force=np.concatenate([curves.force, np.exp(log_force)]),
-        **curves.with_columns(np.vstack([curves.columns, table])),  # type: ignore[arg-type]
-    )
+    depth, force = np.r_[curves.depth, further], np.r_[curves.force, np.exp(log_force)]
+    return curves.with_table(depth, force, np.vstack([curves.columns, table]))
 
 
 def filled(curves: Curves, like: Curves, rows: Sequence[int]) -> Curves:
@@ -127,10 +124,7 @@ def filled(curves: Curves, like: Curves, rows: Sequence[int]) -> Curves:
     depth[solved] = curves.depth
     table = base + columns_through(curves.depth, known - base[solved], depth)
     table[solved] = known
-    return replace(
-        curves, depth=depth, force=np.concatenate([curves.force[:1], np.exp(table[1:, 0])]),
-        **curves.with_columns(table[:, 1:]),  # type: ignore[arg-type]
-    )  # fmt: skip
+    return curves.with_table(depth, np.r_[curves.force[:1], np.exp(table[1:, 0])], table[:, 1:])
 
 
 def _logs(curves: Curves) -> Array:
@@ -154,13 +148,8 @@ def depth_of_force(curves: Curves, force: float) -> float:
     """
     curve, end = curves.force_curve, float(curves.depth[-1])
     if force >= curves.force[-1]:
-        return min(end + (force - float(curves.force[-1])) / max(float(curve.slope(end)), 1e-9), 2.0 * end)
+        return min(end + (force - float(curves.force[-1])) / max(float(curve.slopes[-1]), 1e-9), 2.0 * end)
     return float(curve.inverse(np.array([force]))[0]) if force > 0 else float(curves.depth[0])
-
-
-def columns_at(curves: Curves, depth: Array) -> Array:
-    """ln speed (n_levels, n_windows) at depths, each window interpolated from its own finite values."""
-    return columns_through(curves.depth, curves.log_speed, depth)
 
 
 def without_gaps(curves: Curves) -> Array:
@@ -169,7 +158,7 @@ def without_gaps(curves: Curves) -> Array:
     Interpolated between these, constant before the first and extrapolated linearly beyond the last; NaN for a
     window with fewer than two.
     """
-    return columns_at(curves, curves.depth)
+    return columns_through(curves.depth, curves.log_speed, curves.depth)
 
 
 def gaps_filled(table: Array) -> Array:
@@ -187,11 +176,3 @@ def gaps_filled(table: Array) -> Array:
         here = known[:, k]
         out[:, k] = np.interp(rows, rows[here], table[here, k])
     return out
-
-
-def column_at(knots: Array, values: Array, depth: Array) -> Array:
-    """PCHIP within the knots, constant before them, extrapolated linearly beyond."""
-    curve = Monotone.through(knots, values)
-    inside = np.clip(depth, knots[0], knots[-1])
-    beyond = np.maximum(depth - knots[-1], 0.0)
-    return np.asarray(curve(inside) + np.multiply.outer(beyond, curve.slope(knots[-1])))

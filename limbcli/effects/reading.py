@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from limbcli.effects.curves import Curves, column_at, columns_at, depth_of_force, force_at
+from limbcli.effects.curves import Curves, depth_of_force, force_at
 from limbcli.effects.drainage import Drainage
+from limbcli.inference.monotone_interpolation import columns_through
 from limbcli.model import Array
 
 
@@ -184,7 +185,7 @@ def travelled(curves: Curves, protocol: Protocol, reading: Reading) -> Array:
 def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
     if not curves.log_speed.shape[1]:
         return np.zeros((len(depth), 0))
-    speed = columns_at(curves, depth) + reading.log_speed_shift
+    speed = columns_through(curves.depth, curves.log_speed, depth) + reading.log_speed_shift
     if reading.prony:
         speed = speed + 0.5 * np.log1p(sum(share for share, _ in reading.prony))
     if reading.guided:
@@ -199,7 +200,7 @@ def _layers_at(curves: Curves, depth: Array) -> Array:
     """Layer thicknesses (n_levels, n_lines) at depths (mm)."""
     if curves.log_line is None:
         return np.zeros((len(depth), 0))
-    return np.diff(np.exp(column_at(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
+    return np.diff(np.exp(columns_through(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
 
 
 def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
