@@ -88,9 +88,6 @@ class Prepared:
     interventions: list[Intervention]
     notes: Notes
 
-    def close(self) -> None:
-        self.simulations.close()
-
 
 def prepare(
     case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,

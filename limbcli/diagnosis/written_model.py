@@ -69,32 +69,27 @@ def write_diagnosed(
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
     write_feb(applied(model, added), writer.file("feb", "diagnosed.feb"), templates)
-    warning = _contact_takes(
-        mine, curves, curves.force * mine.simulations.c / c, float(depth.max()), penalty, out=out
-    )
-    writer.warnings.extend([warning] if warning else [])
+    deep = float(depth.max())
+    taken = _contact_takes(mine, curves, curves.force * mine.simulations.c / c, deep, penalty, out=out)
+    if taken > _SOFT:
+        writer.warnings.append(
+            f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe penetrates "
+            f"the skin, which lowers the force at {deep:.1f} mm by about {100 * taken:.0f} % compared with "
+            "the diagnosis (build-feb --contact-penalty)"
+        )
 
 
 def _contact_takes(
     mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float, *, out: Path
-) -> str | None:
-    """Warning if the written model's contact lowers the fitted force at its deepest level by more than
-    `_SOFT`.
+) -> float:
+    """Fraction by which the written model's contact lowers the fitted force at its deepest level.
 
     force (n,) : of the curves, at the reference stiffness
     """
-    known = mine.curves.penetration
-    if known is None:
-        return None
+    if mine.curves.penetration is None:
+        return 0.0
     # The effect of a penalty depends on the facet size.
     meshed = read_result(out, "mesh", site=mine.site.name).data
     edge = float(meshed.get("size_under_probe_mm", mine.size))
     required = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty
-    taken = known.taken(curves, force, deep, penalty=required)
-    if taken <= _SOFT:
-        return None
-    return (
-        f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe penetrates "
-        f"the skin, which lowers the force at {deep:.1f} mm by about {100 * taken:.0f} % compared with "
-        "the diagnosis (build-feb --contact-penalty)"
-    )
+    return mine.curves.penetration.taken(curves, force, deep, penalty=required)

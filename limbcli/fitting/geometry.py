@@ -211,14 +211,13 @@ def write_geometry(
 def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str, Any]]:
     step = found.steps[-1]
     answer = sensitivities(found, step.theta)
-    assert answer.jacobian is not None
     free = inside(step)
     depth = found.data.depth[found.data.loaded]
     moved = np.full((len(uncertainty.done), len(NAMES)), np.nan)
     if free:
         change = np.array([each.known for each in uncertainty.done])
         newtons = answer.values[:, None] * at_depths(change, found.knots, depth)
-        moved[:, free] = shifts(answer.jacobian[:, free], newtons)
+        moved[:, free] = shifts(answer.slopes[:, free], newtons)
     return [
         {
             "kind": each.variation.kind, "words": each.variation.words, "part": each.part,

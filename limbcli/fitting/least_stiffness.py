@@ -147,7 +147,7 @@ def _of_states(problem: StatesProblem, given: Sequence[float | None]) -> LowestP
     rows = [k for k, each in enumerate(given) if each is not None]
     if len({given[k] for k in rows}) < 3:
         return None
-    several = [problem.task.states[k].data for k in rows]
+    several = [problem.task.data[k] for k in rows]
     at_rest = [int(np.argmin(each.speed_force)) for each in several]
     return lowest_of_points(
         np.log([float(given[k] or 1.0) for k in rows]),

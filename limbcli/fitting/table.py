@@ -20,8 +20,6 @@ from limbcli.inference.identifiability import (
     log_covariance,
     verdict,
 )
-from limbcli.inference.monotone_interpolation import pchip_sample
-from limbcli.inference.prediction import slopes_at
 from limbcli.inference.profile_intervals import Stiffness
 from limbcli.inference.two_step_fit import CurveMatch, FittedStep, sensitivities
 from limbcli.model import Array
@@ -56,11 +54,10 @@ class Identified(CurveMatch):
         """Numerical error of ln force at the step's parameters, one standard deviation."""
         if not self.gains:
             return self.stiffness.gain_deviation
-        return self.gains[next(k for k, each in enumerate(self.steps) if each is step)]
+        return self.gains[self.place(step)]
 
-    def simulated(self, theta: Array, depths: Array) -> Array:
-        values = self.curve(theta).values
-        return pchip_sample(np.r_[0.0, self.knots], np.r_[0.0, values], depths).values
+    def place(self, step: FittedStep) -> int:
+        return next(k for k, each in enumerate(self.steps) if each is step)
 
 
 def step_table(found: Identified, k: int) -> dict[str, Any]:
@@ -110,10 +107,9 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     If the data scatter more than their stated noise, the noise is scaled as for the intervals.
     """
     answer = sensitivities(found, step.theta)
-    assert answer.jacobian is not None
     variance = _variance(found, step)
     free = inside(step)
-    columns = answer.jacobian[:, free]
+    columns = answer.slopes[:, free]
     sigma_c = found.stiffness.log_deviation
     by_c = answer.values * c_share(found)
     covariance = np.full((3, 3), np.nan)
@@ -146,7 +142,7 @@ def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: 
     The residuals are compared with those expected of an unweighted fit from the noise and these errors.
     """
     if found.intervals:
-        return found.intervals[_place(found, step)].scale
+        return found.intervals[found.place(step)].scale
     left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)
     expected = np.diag(left @ (np.diag(variance) + held @ held.T) @ left.T)
     chi_square = np.sum(step.fit.residual[found.data.loaded] ** 2 / variance)
@@ -170,7 +166,7 @@ def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
     """FitAgreement of a step's curve with the measured forces, by the noise that the fit counted."""
     order = np.argsort(found.data.depth[found.data.loaded], kind="stable")
     residual = step.fit.residual[found.data.loaded][order]
-    intervals = found.intervals[_place(found, step)] if found.intervals else None
+    intervals = found.intervals[found.place(step)] if found.intervals else None
     return force_agreement(
         residual, counted_deviation(found, step)[order], step.r2, n_free=len(step.free),
         likelihood=(intervals.chi_square, intervals.n_freedom) if intervals else None,
@@ -182,14 +178,10 @@ def counted_deviation(found: Identified, step: FittedStep) -> Array:
     return np.sqrt(_variance(found, step))
 
 
-def _place(found: Identified, step: FittedStep) -> int:
-    return next(k for k, each in enumerate(found.steps) if each is step)
-
-
 def _variance(found: Identified, step: FittedStep) -> Array:
     """Variance of the force residuals (n,), N^2."""
     data = found.data
-    slope = slopes_at(found.curve, found.knots, data.depth[data.loaded], step.theta)
+    slope = found.sample(step.theta, data.depth[data.loaded]).slopes
     return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
 
 
@@ -202,8 +194,7 @@ def inside(step: FittedStep) -> list[int]:
 def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict]:
     step = found.steps[k]
     answer = sensitivities(found, step.theta)
-    assert answer.jacobian is not None
-    influence = has_influence(answer.jacobian, answer.values)
+    influence = has_influence(answer.slopes, answer.values)
     rho = np.nan_to_num(correlation(covariance))
     verdicts = {"c_kpa": Verdict(Flag.FIXED, f"c is held fixed: {found.c_source}.")}
     for parameter, index in zip(step.fit.parameters, step.free, strict=True):

@@ -206,15 +206,13 @@ class _Search:
         return _REASONS.get(int(found.status), "no step lowers the cost")
 
     def finish(self, reason: str) -> Fit:
-        assert self.now.jacobian is not None
         return Fit(
-            self.parameters, self.theta, self.now.values, self.now.jacobian, self.now.cost,
+            self.parameters, self.theta, self.now.values, self.now.slopes, self.now.cost,
             len(self.history), reason, tuple(self.history),
         )  # fmt: skip
 
     def _jacobian(self) -> Array:
-        assert self.now.jacobian is not None
-        return self.now.jacobian * slopes(self.parameters, self.theta)
+        return self.now.slopes * slopes(self.parameters, self.theta)
 
     def _reach(self) -> tuple[Array, Array]:
         """The values that one step may reach."""

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
@@ -116,10 +117,13 @@ class Rows:
 class _Problem:
     """readings (n, q), noise covariances (n, q, q) with their inverses, and the model."""
 
+    model: Model
     readings: Array
     noise: Array
-    weights: Array
-    model: Model
+
+    @cached_property
+    def weights(self) -> Array:
+        return _inverse(self.noise)
 
 
 def estimate_population(
@@ -140,7 +144,7 @@ def estimate_population(
     prior_deviation : (p,) standard deviation that the weak prior on the spread expects
     people : (n,) the person of each row; None: each row belongs to a different person
     """
-    problem = _Problem(readings, noise, _inverse(noise), model)
+    problem = _Problem(model, readings, noise)
     prior = _PRIOR_ROWS * np.diag(prior_deviation**2)
     mean, spread = start.astype(float), np.diag(prior_deviation**2)
     theta = np.tile(mean, (len(readings), 1))
@@ -177,7 +181,7 @@ def _inverse(matrix: Array) -> Array:
 
 def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: Array) -> Array:
     """Most likely parameters (n, p) of each row under a given population."""
-    problem = _Problem(readings, noise, _inverse(noise), model)
+    problem = _Problem(model, readings, noise)
     return modes(problem, mean, spread, np.tile(mean, (len(readings), 1)))[0]
 
 
@@ -334,16 +338,10 @@ def _rows(
     shifted = points + np.einsum("nij,dnj->dni", taken, mean_errors)
     low, high = (_quantiles(shifted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
-    return Rows(
-        middle,
-        np.sqrt(variance),
-        low,
-        high,
-        mode,
-        1.0 / np.sum(weights**2, axis=0),
-        np.clip(variance / np.diag(population.spread), 0.0, 1.0),
-        _misfit(problem, population.mean, population.spread),
-    )
+    shrinkage = np.clip(variance / np.diag(population.spread), 0.0, 1.0)
+    misfit = _misfit(problem, population.mean, population.spread)
+    effective = 1.0 / np.sum(weights**2, axis=0)
+    return Rows(middle, np.sqrt(variance), low, high, mode, effective, shrinkage, misfit)
 
 
 def _mean_errors(population: Population, shape: tuple[int, ...], seed: int) -> Array:

@@ -20,7 +20,6 @@ from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.identifiability import force_variance
 from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.prediction import sampled, slopes_at
 from limbcli.inference.two_step_fit import CurveMatch, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -103,13 +102,12 @@ class _ForceProblem(Likelihood):
     ):  # fmt: skip
         curve, knots, data = match.curve, match.knots, match.data
         depth, force = data.depth[data.loaded], data.force[data.loaded]
+        known = match.sample(fitted, depth)
         variance = force_variance(
-            slopes_at(curve, knots, depth, fitted),
-            force_deviation=data.force_deviation, depth_deviation=data.depth_deviation,
-        )  # fmt: skip
+            known.slopes, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation
+        )
         covariance = np.diag(variance)
         if shape_modes is not None and len(shape_modes):
-            known = sampled(curve, knots, depth, free=(0, 1), fixed=fitted)(fitted, derivative=False)
             moved = known.values[:, None] * at_depths(shape_modes, knots, depth)
             covariance = covariance + moved @ moved.T
         share = np.ones(len(depth))

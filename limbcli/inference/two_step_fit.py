@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from limbcli.errors import FitError
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
+from limbcli.inference.monotone_interpolation import Sample, pchip_sample
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
 from limbcli.inference.residual import coefficient_of_determination, force_residual, root_mean_square
@@ -56,6 +57,11 @@ class CurveMatch:
     curve: SolvedPoints
     knots: Array
     data: ForceDepth
+
+    def sample(self, theta: Array, depths: Array) -> Sample:
+        """The curve (N) at depths (n,) mm, with its slopes; 0 before first touch."""
+        forces = np.r_[0.0, self.curve(theta).values]
+        return pchip_sample(np.r_[0.0, self.knots], forces, np.maximum(depths, 0.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,5 +165,4 @@ def sensitivities(match: CurveMatch, theta: Array) -> Prediction:
     depths = match.data.depth[match.data.loaded]
     predict = sampled(match.curve, match.knots, depths, free=(F_KAPPA, M), fixed=theta)
     answer = predict(theta)
-    assert answer.jacobian is not None
-    return Prediction(answer.values, answer.jacobian * theta)
+    return Prediction(answer.values, answer.slopes * theta)

@@ -60,7 +60,7 @@ def test_layers_are_the_same_beside_speeds_that_were_left_out(simulated):
         memory(start[1:], (0, 1))
     tasks = [JointTask([memory], [each], SHAPE, C0, [LOG_SPEED_0]) for each in (data, without)]
     problems = [JointProblem(each, STARTS) for each in tasks]
-    seen = [each.predict(0, STARTS[0]) for each in problems]
+    seen = [each.blocks[0].predict(STARTS[0]) for each in problems]
     np.testing.assert_array_equal(seen[1].layers, seen[0].layers)
     np.testing.assert_array_equal(seen[1].layers_slope, seen[0].layers_slope)
     assert problems[1].uncertainty(STARTS[0]) <= problems[0].uncertainty(STARTS[0])

@@ -17,7 +17,6 @@ from limbcli.diagnosis.data.noise_parts import (
     KnownErrors,
     MapNoise,
     depth_slopes,
-    layer_slopes,
     noise_parts,
 )
 from limbcli.diagnosis.data.rows import (
@@ -63,7 +62,10 @@ class SiteData:
     rows: SiteRows
     data: Data
     slope: Array
-    protocol: Protocol
+
+    @property
+    def protocol(self) -> Protocol:
+        return self.seen.protocol
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -210,8 +212,7 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
     """Stack the channels that this measurement has."""
     protocol, noise, windows = seen.protocol, seen.noise, seen.windows
     smooth, rows = SmoothDepth.through(protocol), measured_rows(seen)
-    slope = depth_slopes(protocol, rows, rows.y, model.map_slopes)
-    slope = slope + layer_slopes(seen.layers, protocol, smooth.place(protocol.force), rows)
+    slope = depth_slopes(protocol, rows, map_slopes=model.map_slopes, layers=seen.layers)
     strain = smooth.at(protocol.force) / model.thickness
     of_maps = None if seen.maps is None else map_noise(windows, seen.maps, noise, strain)
     parts = noise_parts(seen, rows, slope, maps=of_maps, model=model)
@@ -221,9 +222,7 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
         series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
         place=_place(rows, windows),
     )  # fmt: skip
-    return SiteData(
-        name=name, seen=seen, model=model, rows=rows, data=data, slope=slope, protocol=protocol
-    )  # fmt: skip
+    return SiteData(name=name, seen=seen, model=model, rows=rows, data=data, slope=slope)
 
 
 def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:

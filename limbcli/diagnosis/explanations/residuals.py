@@ -89,12 +89,8 @@ def checked(data: Data, state: LinearFit, whiten: Whitener, rng: np.random.Gener
     order = np.argsort(np.argsort(-drawn, axis=0), axis=0)
     smallest = np.sort(((order + 1) / (n + 1)).min(axis=1))
     adjusted = (1 + np.searchsorted(smallest, alone, side="right")) / (n + 1)
-    return Check(
-        tuple(
-            Part(name, float(values[k]), nu[k], float(alone[k]), float(min(adjusted[k], 1.0)))
-            for k, name in enumerate(names)
-        )
-    )
+    table = zip(names, values.tolist(), nu, alone.tolist(), np.minimum(adjusted, 1.0).tolist(), strict=True)
+    return Check(tuple(Part(*row) for row in table))
 
 
 def _statistics(

@@ -166,10 +166,8 @@ class Changes:
             if _is_known(moved, known):
                 places.append(times)
                 values.append(gaps_filled(moved))
-        if len(places) < 2 and problem is not None:
-            raise problem
         if len(places) < 2:
-            raise SolveError(
+            raise problem or SolveError(
                 f"no wave can propagate, or the law has no solution, with {p.name} near {p.start:g}",
                 where=f"effect {effect.name}", fix="check the deepest level",
             )  # fmt: skip
