@@ -75,18 +75,20 @@ def log_force_at(curves: Curves, depth: Array) -> Array:
     at = np.log(np.maximum(depth, 1e-6))
     if len(x) < 2:
         return np.asarray(y[0] + 1.5 * (at - x[0]))
-    curve = Monotone.through(x, y)
-    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    return curve.with_lines(at, first, last)
+    return _as_powers(Monotone.through(x, y), at)
 
 
 def depth_at(curves: Curves, force: Array) -> Array:
     """Depth (mm) at forces > 0: PCHIP of ln depth over ln force, extrapolated as a power of force at both
     ends."""
-    curve, at = curves.depth_curve, np.log(np.maximum(force, 1e-9))
+    return np.exp(_as_powers(curves.depth_curve, np.log(np.maximum(force, 1e-9)), far=_FAR))
+
+
+def _as_powers(curve: Monotone, at: Array, *, far: float = np.inf) -> Array:
+    """A curve of logarithms, extrapolated along its first and last secants."""
     x, y = curve.knots, curve.values
     first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    return np.exp(curve.with_lines(at, first, last, far=_FAR))
+    return curve.with_lines(at, first, last, far=far)
 
 
 def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:

@@ -66,11 +66,9 @@ class ScannerView:
     log_means_of: Callable[[Array], Array]
 
     def with_fields(
-        self,
-        at_pixels: Array,
-        stiffness: Sequence[Stiffness],
+        self, at_pixels: Array, stiffness: Sequence[Stiffness],
         concentration: StrainConcentration | None = None,
-    ) -> Array:
+    ) -> Array:  # fmt: skip
         """Speeds at pixels (n_pixels,) of the law, with its stiffnesses multiplied by fields.
 
         concentration : of these fields, at this depth
@@ -172,13 +170,9 @@ def frozen_force(
 
 
 def frozen_speed(
-    model: LimbModel,
-    kinematics: SolvedDeformation,
-    stiffness: Sequence[Stiffness] = (),
-    *,
-    density_kg_per_m3: float,
-    concentrations: Sequence[StrainConcentration] = (),
-) -> Array:
+    model: LimbModel, kinematics: SolvedDeformation, stiffness: Sequence[Stiffness] = (), *,
+    density_kg_per_m3: float, concentrations: Sequence[StrainConcentration] = (),
+) -> Array:  # fmt: skip
     """ln of the mean speed (n, n_parts) in the parts of the window, at the unchanged deformation.
 
     concentrations : one per depth, where the deformation includes the fields (see `strain_concentrations`)

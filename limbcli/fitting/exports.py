@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +12,7 @@ from scipy.io import savemat
 
 from limbcli.feb.write import render
 from limbcli.files.plain_text import write_rows
-from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.model import ElementMap, LimbModel, Material
 from limbcli.results import StageWriter
 from limbcli.site_model.indentation_model import TISSUE
 
@@ -111,6 +111,6 @@ def material_snippet(model: LimbModel) -> str:
     return f"<!-- limbcli: identified tissue, mm-N-s (MPa){maps} -->\n{found.group(0)}\n"
 
 
-def write_table(path: Path, columns: Mapping[str, Array | Sequence[object]]) -> None:
+def write_table(path: Path, columns: Mapping[str, Iterable[object]]) -> None:
     """Write columns of equal length to a CSV file."""
     write_rows(path, columns, (map(_cell, row) for row in zip(*columns.values(), strict=True)))

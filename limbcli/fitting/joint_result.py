@@ -98,16 +98,15 @@ def report_fit(
 def _warn_poor(found: Intervals, writer: StageWriter) -> None:
     """Write `agreement`; a bad one is also the first warning."""
     met = chi_square_agreement(found.chi_square, found.n_freedom)
-    writer.data["agreement"] = met.to_json()
+    writer.data["agreement"] = vars(met)
     writer.summary.insert(0, f"{met.state}: {met.words}")
     if met.state != "bad":
         return
     writer.warnings.insert(
         0,
         f"the fit does not reproduce the data: chi-square {found.chi_square:.0f} for {found.n_freedom} "
-        f"degrees of "
-        f"freedom (probability {met.chance:.1g} under the stated noise). The parameters describe the nearest "
-        "curves, not the tissue: check the figures, the noise of the case, and what `limbcli "
+        f"degrees of freedom (probability {met.chance:.1g} under the stated noise). The parameters describe "
+        "the nearest curves, not the tissue: check the figures, the noise of the case, and what `limbcli "
         "diagnose` finds missing",
     )
 

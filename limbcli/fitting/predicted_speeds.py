@@ -6,6 +6,7 @@ The fit uses only the speed at level 0; the others are predictions from the defo
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -133,7 +134,7 @@ def _measured_map(site: Site, levels: Levels, level: int, width: float, writer: 
 
 def _write_speed_table(found: Predicted, levels: Levels, writer: StageWriter) -> None:
     k = found.levels
-    columns = {
+    columns: dict[str, Iterable[object]] = {
         "level": levels.rows[k], "force_n": levels.force[k], "depth_mm": levels.depth[k],
         "simulated_force_n": found.force,
         "measured_m_per_s": levels.swe_mean_m_per_s[k], "measured_sd_m_per_s": levels.swe_sd_m_per_s[k],

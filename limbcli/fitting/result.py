@@ -161,15 +161,14 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
     writer.data["agreement"] = {
         "state": met.state,
         "force": {
-            **met.to_json(),
-            "depths_mm": found.data.depth[loaded],
+            **vars(met), "depths_mm": found.data.depth[loaded],
             "counted_noise_n": counted_deviation(found, found.steps[-1]),
         },
-    }
+    }  # fmt: skip
     at_lower_bound = [name for name in NAMES if last["parameters"][name]["bound"] == "lower"]
     tissue = tissue_agreement(last["parameters"]["f_kappa"]["high"], at_lower_bound)
     if tissue is not None:
-        writer.data["agreement"]["tissue"] = tissue.to_json()
+        writer.data["agreement"]["tissue"] = vars(tissue)
         if tissue.state == "bad":
             writer.warnings.insert(0, f"poor fit: {tissue.words}")
     writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
@@ -213,7 +212,7 @@ def write_agreement(found: Identified, writer: StageWriter) -> None:
             level_fraction=writer.data["noise"]["swe_level_fraction"],
             c_deviation=found.stiffness.force_deviation,
         )  # fmt: skip
-        told["speeds"] = met.to_json()
+        told["speeds"] = vars(met)
     parts = [told[name] for name in ("tissue", "force", "speeds") if name in told]
     parts.sort(key=lambda each: ORDER.index(each["state"]), reverse=True)
     told["state"] = parts[0]["state"]

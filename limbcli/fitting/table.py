@@ -68,11 +68,7 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
     deviation = np.sqrt(np.diag(covariance))
     verdicts = _verdicts(found, k, covariance)
     values = {"c_kpa": kpa_from_mpa(c), "f_kappa": f_kappa, "m": m, "kappa_kpa": kpa_from_mpa(c * f_kappa)}
-    errors = {
-        "c_kpa": values["c_kpa"] * deviation[0],
-        "f_kappa": f_kappa * deviation[1],
-        "m": m * deviation[2],
-    }
+    errors = {name: values[name] * each for name, each in zip(("c_kpa", *NAMES), deviation, strict=True)}
     spread = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
     errors["kappa_kpa"] = values["kappa_kpa"] * float(np.sqrt(spread))
     intervals = _intervals(found, k, values["c_kpa"])
@@ -244,10 +240,8 @@ def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
     limit = found.intervals[k].threshold
     return {
         name: {
-            "values": each.values,
-            "deviance": each.deviance,
-            "limit": limit,
+            "values": each.values, "deviance": each.deviance, "limit": limit,
             "extended_to_fit": each.ends_beyond(limit),
         }
         for name, each in found.intervals[k].profiles.items()
-    }
+    }  # fmt: skip

@@ -54,15 +54,10 @@ class Fit:
 
 
 def least_squares_fit(
-    objective: Objective,
-    parameters: Sequence[FitParameter],
-    *,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-    must_settle: bool = True,
-    guide: Guide | None = None,
+    objective: Objective, parameters: Sequence[FitParameter], *, tolerance: float = 1e-3,
+    max_iterations: int = 50, must_settle: bool = True, guide: Guide | None = None,
     progress: Progress = SILENT,
-) -> Fit:
+) -> Fit:  # fmt: skip
     """Bounded least squares in the normalised parameters.
 
     A trial at which the model cannot be solved (SolveError) counts as worse, and so does, without a solve,

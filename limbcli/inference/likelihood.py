@@ -124,22 +124,22 @@ class SiteBlock(DataBlock):
     def predict(self, theta: Array) -> SitePrediction:
         """Prediction by the surrogate; slopes by ln c, ln gain and ln of the curve's parameters."""
         c_ratio, gain, place = self.place(theta)
-        if self.even_speed is None:
-            return predict_site(
-                self.emulator, self.data, place, c_ratio=c_ratio, gain=gain, log_speed_0=self.log_speed_0
-            )
-        n, answer = len(self.data.knots), self.emulator(place)
-        known = np.maximum(answer.values, _LEAST)  # far from solved points it may be anything
+        answer, rest = self.emulator(place), self.log_speed_0
+        if self.even_speed is not None:
+            answer, rest = self._with_even_speed(answer, place, self.even_speed(place))
+        return predict_site(answer, self.data, place, c_ratio=c_ratio, gain=gain, log_speed_0=rest)
+
+    def _with_even_speed(
+        self, answer: Prediction, place: Array, even: tuple[float, Array]
+    ) -> tuple[Prediction, RestSpeed]:
+        """Forces and speeds, and the speed at rest, of a curve whose speeds are relative to `even`."""
+        n, known = len(self.data.knots), np.maximum(answer.values, _LEAST)  # surrogates may give anything
         by_log = answer.slopes * place / known[:, None]
-        even, even_by = self.even_speed(place)
-        speeds = known[n : 2 * n] * np.exp(even)
-        slopes = (by_log[n : 2 * n] + even_by) * speeds[:, None] / place
-        of_state = Prediction(np.concatenate([known[:n], speeds]), np.vstack([answer.slopes[:n], slopes]))
-        rest = even + float(np.log(known[2 * n])), even_by + by_log[2 * n]
-        return predict_site(
-            lambda _theta, _wrt=(): of_state, self.data, place, c_ratio=c_ratio, gain=gain,
-            log_speed_0=lambda _shape: rest,
-        )  # fmt: skip
+        speeds = known[n : 2 * n] * np.exp(even[0])
+        slopes = (by_log[n : 2 * n] + even[1]) * speeds[:, None] / place
+        rest = even[0] + float(np.log(known[2 * n])), even[1] + by_log[2 * n]
+        values, jacobian = np.concatenate([known[:n], speeds]), np.vstack([answer.slopes[:n], slopes])
+        return Prediction(values, jacobian), lambda _shape: rest
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
         data, found, weights = self.data, self.predict(theta), self.weights

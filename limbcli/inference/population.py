@@ -127,15 +127,9 @@ class _Problem:
 
 
 def estimate_population(
-    model: Model,
-    readings: Array,
-    noise: Array,
-    *,
-    start: Array,
-    prior_deviation: Array,
-    people: Array | None = None,
-    seed: int = 7,
-) -> tuple[Population, Rows]:
+    model: Model, readings: Array, noise: Array, *, start: Array, prior_deviation: Array,
+    people: Array | None = None, seed: int = 7,
+) -> tuple[Population, Rows]:  # fmt: skip
     """Mean and spread of a population, and the posterior of each row.
 
     readings : (n, q)

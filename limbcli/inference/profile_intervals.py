@@ -67,15 +67,9 @@ def _around(name: str, value: float, log_deviation: float) -> tuple[FitParameter
 
 
 def force_intervals(
-    match: CurveMatch,
-    stiffness: Stiffness,
-    theta: Array,
-    *,
-    free: Sequence[int] = (0, 1),
-    max_solves: int = 12,
-    shape_modes: Array | None = None,
-    progress: Progress = SILENT,
-) -> Intervals:
+    match: CurveMatch, stiffness: Stiffness, theta: Array, *, free: Sequence[int] = (0, 1),
+    max_solves: int = 12, shape_modes: Array | None = None, progress: Progress = SILENT,
+) -> Intervals:  # fmt: skip
     """Profile likelihoods of f_kappa and m (those in `free`), with c varying within its own and the mesh's
     uncertainty.
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
-from limbcli.inference.prediction import PredictedCurve
+from limbcli.inference.prediction import Prediction
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
 
@@ -81,25 +81,20 @@ RestSpeed = float | Callable[[Array], tuple[float, Array]]
 
 
 def predict_site(
-    curve: PredictedCurve,
-    data: SiteMeasurement,
-    shape: Array,
-    *,
-    c_ratio: float,
-    gain: float,
+    answer: Prediction, data: SiteMeasurement, shape: Array, *, c_ratio: float, gain: float,
     log_speed_0: RestSpeed,
-) -> SitePrediction:
-    """Prediction of a site's measurement from its simulated curve.
+) -> SitePrediction:  # fmt: skip
+    """Prediction of a site's measurement from its curve simulated with this shape.
 
-    curve : shape -> forces at the knots (N); then speeds there (m/s), which may be missing if the data have
-        none; then, where the data have layers, the depths below the skin (mm) of all layer borders at the
-        first knot, at the second, ...; for c_ratio 1 and gain 1
+    answer : forces at the knots (N); then speeds there (m/s), which may be missing if the data have none;
+        then, where the data have layers, the depths below the skin (mm) of all layer borders at the first
+        knot, at the second, ...; for c_ratio 1 and gain 1
     log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1; the speed is sqrt(c / (2 rho)), except for
         laws with fibres
 
     `stiffness` (n,) of the result is dF/dd at the forces (N/mm).
     """
-    n, answer = len(data.knots), curve(shape, tuple(range(len(shape))))
+    n = len(data.knots)
     by_log = answer.slopes * shape
     knots = np.concatenate([[0.0], data.knots])
     force = np.concatenate([[0.0], answer.values[:n]]) * c_ratio * gain

@@ -96,10 +96,6 @@ class StatesProblem(Likelihood):
         """The c (MPa) that, together with the curve's parameters, describes the tissue of theta."""
         return self.task.c0 * self.blocks[0].place(theta)[0]
 
-    def stretch_values(self, theta: Array) -> Array:
-        """Stretch parameters of theta."""
-        return np.asarray(theta[1 + self.n_shape : 1 + max(self.profiled)])
-
     def gain(self, theta: Array) -> float:
         return self.blocks[0].place(theta)[1]
 

@@ -90,12 +90,8 @@ def search_parameters(
 
 
 def two_step(
-    match: CurveMatch,
-    *,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-    progress: Progress = SILENT,
-) -> tuple[FittedStep, FittedStep]:
+    match: CurveMatch, *, tolerance: float = 1e-3, max_iterations: int = 50, progress: Progress = SILENT,
+) -> tuple[FittedStep, FittedStep]:  # fmt: skip
     """Identify (f_kappa, m) from a force-depth curve, with c held fixed.
 
     Minimises the sum of squared F_exp - F_sim at the measured depths, with the simulated curve interpolated

@@ -129,7 +129,7 @@ def test_skin_has_the_golden_volume_and_stiffness(golden, base):
     from limbcli.effects.stiffness_places import layer_share
     from limbcli.solvers.integration_points import IntegrationPoints
 
-    share = layer_share(base, 0.0, 1.5)
+    share = layer_share(base, 1.5)
     corners = base.mesh.surfaces["skin"].facets["tri6"][:, :3].ravel()
     top = np.ptp(base.mesh.points[corners][:, :2], axis=0)
     volume = IntegrationPoints.of(base.mesh.points, base.mesh.solid_blocks[0]).volume.sum(axis=1)
