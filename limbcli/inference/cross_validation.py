@@ -121,20 +121,17 @@ def _choose(
 ) -> tuple[float, float, bool]:
     """Hyperparameters with the smallest error in cross-validation within the training people."""
     inner = person_folds(people, INNER_FOLDS, seed)
-    best, least = (*_SHRINK[-1], True), np.inf
+    scores: dict[tuple[float, float, bool], float] = {}
     for (all_, site), use in itertools.product(_SHRINK, (True, False)):
-        choice = (all_, site, use)
-        missed: list[Array] = []
+        missed, choice = list[Array](), (all_, site, use)
         for k in range(INNER_FOLDS):
             kept, out = train & (inner != k), train & (inner == k)
             if not kept.any() or not out.any():
                 continue
             model = _Regression.fit(sites, features, compliance, slab, kept, choice)
             missed.append(percent_off(model(sites, features, slab)[out], compliance[out]))
-        score = float(np.concatenate(missed).mean())
-        if score < least:
-            best, least = choice, score
-    return best
+        scores[choice] = float(np.concatenate(missed).mean())
+    return min(scores, key=lambda each: scores[each])
 
 
 @dataclass(frozen=True, eq=False)

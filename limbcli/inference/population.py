@@ -214,10 +214,10 @@ def modes(
 
 
 def _cost(problem: _Problem, values: Array, theta: Array, mean: Array, precision: Array) -> Array:
-    """Negative log of likelihood times prior, up to a constant: (n,)."""
+    """Negative log of likelihood times prior, up to a constant: (..., n), from values (..., n, q)."""
     missed, apart = problem.readings - values, theta - mean
-    fit = np.einsum("ni,nij,nj->n", missed, problem.weights, missed)
-    return np.asarray(0.5 * (fit + np.einsum("ni,ij,nj->n", apart, precision, apart)))
+    fit = np.einsum("...ni,nij,...nj->...n", missed, problem.weights, missed)
+    return np.asarray(0.5 * (fit + np.einsum("...ni,ij,...nj->...n", apart, precision, apart)))
 
 
 def _quadratic(
@@ -258,11 +258,8 @@ def _sampled(
     near, far = (np.asarray(_WIDER * np.linalg.cholesky(each), float) for each in (covariance, spread))
     points = np.concatenate([theta + np.einsum("nij,dnj->dni", near, draws[::2]), mean + draws[1::2] @ far.T])
     values, _ = problem.model(points, False)
-    precision = _inverse(spread)
-    missed, apart = problem.readings - values, points - mean
-    logs = -0.5 * np.einsum("dni,nij,dnj->dn", missed, problem.weights, missed)
-    logs -= 0.5 * np.einsum("dni,ij,dnj->dn", apart, precision, apart)
-    logs -= np.logaddexp(_log_density(points - theta, near), _log_density(apart, far))
+    logs = -_cost(problem, values, points, mean, _inverse(spread))
+    logs -= np.logaddexp(_log_density(points - theta, near), _log_density(points - mean, far))
     logs -= logs.max(axis=0)
     weights = np.exp(logs)
     return points, weights / weights.sum(axis=0)

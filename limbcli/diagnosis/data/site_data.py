@@ -99,8 +99,7 @@ class SiteData:
         )
         direction = np.where(first != 0.0, (more - less) / (2 * _STRAIN_STEP), 0.0)
         deviation = next((each.strain for each in self.model.errors if each.name == STRAIN), 0.0)
-        moved = deviation * direction
-        noise, new = self.data.noise, common(STRAIN, moved, source=part.source)
+        noise, new = self.data.noise, common(STRAIN, deviation * direction, source=part.source)
         parts = (new if each is part else each for each in noise.parts)
         return replace(self, data=replace(self.data, noise=noise.with_parts(parts)))
 
