@@ -72,7 +72,7 @@ class Place:
 
 
 class DataBlock:
-    """Data of one simulated curve; slopes are by ln theta. The weights of the data do not depend on theta."""
+    """Data of one simulated curve; slopes are by ln theta. Its weights are fixed unless stated."""
 
     emulator: Emulator
     place: Place
@@ -213,7 +213,7 @@ class Likelihood:
     """Estimation problem of `adaptive_profiles`; theta begins with c.
 
     parameters : the whole vector theta, on the log scale
-    n_profiled : the parameters to profile are those from 1 to n_profiled, and c if it has no prior
+    profiled : indices of the parameters to profile
     simulated : indices of the parameters that are inputs of a simulation
     n_freedom : number of data minus number of parameters
     """

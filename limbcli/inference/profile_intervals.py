@@ -110,14 +110,11 @@ class _ForceProblem(Likelihood):
         shape = [p.started_at(float(t)).in_logs() for p, t in zip(search_parameters(), fitted, strict=True)]
         (c, _), *others = nuisances = stiffness.nuisances()
         parameters = [c, *(shape[k] for k in free), *(each for each, _ in others)]
-        last = 1 + len(free)
+        last, factors = 1 + len(free), np.zeros((2, len(parameters)))
+        factors[free, range(1, last)] = 1.0
         place = Place.of(
             len(parameters), c0=stiffness.c, shape=(), gain=last if others else None,
-            offset=np.where(np.isin((0, 1), free), 0.0, np.log(fitted)),
-            factors=np.array([
-                np.eye(len(parameters))[1 + free.index(k)] if k in free else np.zeros(len(parameters))
-                for k in (0, 1)
-            ]),
+            offset=np.where(factors.any(axis=1), 0.0, np.log(fitted)), factors=factors,
         )  # fmt: skip
         block = ForceBlock(Emulator(curve), place, knots, depth, force, covariance, share)
         target = curve(fitted).values

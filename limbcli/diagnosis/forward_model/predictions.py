@@ -144,9 +144,13 @@ class Predictions:
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
 
+    def named(self, x: Array, explanation: Explanation) -> dict[str, float]:
+        """The effects' parameters of a parameter vector, by their names in the fit."""
+        return dict(zip([slot.name for slot in self.slots(explanation)], x[2:].tolist(), strict=True))
+
     def values_of(self, x: Array, explanation: Explanation) -> tuple[float, float, list[dict[str, float]]]:
         """c (MPa), m, and the effect parameters of every site for a parameter vector."""
-        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        values = self.named(x, explanation)
         thetas = [self.theta(values, explanation, k) for k in range(len(self.sites))]
         return float(np.exp(x[0])), float(np.exp(x[1])), thetas
 
