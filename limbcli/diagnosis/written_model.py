@@ -69,27 +69,31 @@ def write_diagnosed(
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
     write_feb(applied(model, added), writer.file("feb", "diagnosed.feb"), templates)
-    deep = float(depth.max())
-    taken = _contact_takes(mine, curves, curves.force * mine.simulations.c / c, deep, penalty, out=out)
-    if taken > _SOFT:
-        writer.warnings.append(
-            f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe penetrates "
-            f"the skin, which lowers the force at {deep:.1f} mm by about {100 * taken:.0f} % compared with "
-            "the diagnosis (build-feb --contact-penalty)"
-        )
+    force = curves.force * mine.simulations.c / c
+    if warning := _contact_takes(mine, curves, force, float(depth.max()), penalty, out=out):
+        writer.warnings.append(warning)
 
 
 def _contact_takes(
     mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float, *, out: Path
-) -> float:
-    """Fraction by which the written model's contact lowers the fitted force at its deepest level.
+) -> str | None:
+    """Warning if the written model's contact lowers the fitted force at its deepest level by more than
+    `_SOFT`.
 
     force (n,) : of the curves, at the reference stiffness
     """
-    if mine.curves.penetration is None:
-        return 0.0
+    known = mine.curves.penetration
+    if known is None:
+        return None
     # The effect of a penalty depends on the facet size.
     meshed = read_result(out, "mesh", site=mine.site.name).data
     edge = float(meshed.get("size_under_probe_mm", mine.size))
     required = penalty * mine.size / edge / mine.simulations.model.contacts[0].penalty
-    return mine.curves.penetration.taken(curves, force, deep, penalty=required)
+    taken = known.taken(curves, force, deep, penalty=required)
+    if taken <= _SOFT:
+        return None
+    return (
+        f"diagnosed.feb has the contact penalty of the site's model, {penalty:g}: the probe penetrates "
+        f"the skin, which lowers the force at {deep:.1f} mm by about {100 * taken:.0f} % compared with "
+        "the diagnosis (build-feb --contact-penalty)"
+    )

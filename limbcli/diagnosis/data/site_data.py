@@ -170,7 +170,7 @@ class SiteData:
             return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
-        borne = relaxed(elastic, curves, depth, self.protocol, reading)
+        borne = relaxed(elastic, curves, depth, reading, self.protocol.remembered)
         wanted = (self.protocol.force - reading.force_zero) / reading.force_gain
         wanted = wanted + borne_at_zero(curves, reading)
         known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
