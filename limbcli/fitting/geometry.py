@@ -21,7 +21,7 @@ from limbcli.errors import LimbError
 from limbcli.fitting.geometry_variations import Variation, depth_deviation, shaped, variations
 from limbcli.fitting.table import NAMES, Identified, inside
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts, total_share
+from limbcli.inference.geometry_uncertainty import ends, shifts, total_share
 from limbcli.inference.two_step_fit import sensitivities
 from limbcli.meshing.rods import Rod
 from limbcli.model import Array, LimbModel
@@ -200,12 +200,10 @@ def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str,
     step = found.steps[-1]
     answer = sensitivities(found, step.theta)
     free = inside(step)
-    depth = found.data.depth[found.data.loaded]
     moved = np.full((len(uncertainty.done), len(NAMES)), np.nan)
     if free:
         change = np.array([each.log_force for each in uncertainty.done])
-        newtons = answer.values[:, None] * at_depths(change, found.knots, depth)
-        moved[:, free] = shifts(answer.slopes[:, free], newtons)
+        moved[:, free] = shifts(answer.slopes[:, free], found.moved(step.theta, change))
     return [
         {
             "kind": each.variation.kind, "words": each.variation.words, "part": each.part,

@@ -15,7 +15,6 @@ from limbcli.inference.identifiability import (
     NoProfile,
     Verdict,
     correlation,
-    force_variance,
     has_influence,
     log_covariance,
     verdict,
@@ -103,7 +102,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     If the data scatter more than their stated noise, the noise is scaled as for the intervals.
     """
     answer = sensitivities(found, step.theta)
-    variance = _variance(found, step)
+    variance = found.variance(step.theta)
     free = inside(step)
     columns = answer.slopes[:, free]
     sigma_c = found.stiffness.log_deviation
@@ -119,7 +118,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
     block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
     if found.modes is not None:
-        moved = shifts(columns, _spread(found, step, found.modes))
+        moved = shifts(columns, found.moved(step.theta, found.modes))
         block = block + moved.T @ moved
     places = [1 + k for k in free]
     covariance[np.ix_(places, places)] = block
@@ -151,13 +150,6 @@ def c_share(found: Identified) -> Array:
     return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
 
 
-def _spread(found: Identified, step: FittedStep, modes: Array) -> Array:
-    """Change of force (n, n_modes), N, at the loaded levels by one standard deviation of each mode."""
-    answer = sensitivities(found, step.theta)
-    depth = found.data.depth[found.data.loaded]
-    return np.asarray(answer.values[:, None] * at_depths(modes, found.knots, depth))
-
-
 def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
     """FitAgreement of a step's curve with the measured forces, by the noise that the fit counted."""
     order = np.argsort(found.data.depth[found.data.loaded], kind="stable")
@@ -171,14 +163,7 @@ def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
 
 def counted_deviation(found: Identified, step: FittedStep) -> Array:
     """Standard deviation of the force (n,), N, that the fit counted at the loaded levels."""
-    return np.sqrt(_variance(found, step))
-
-
-def _variance(found: Identified, step: FittedStep) -> Array:
-    """Variance of the force residuals (n,), N^2."""
-    data = found.data
-    slope = found.sample(step.theta, data.depth[data.loaded]).slopes
-    return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
+    return np.sqrt(found.variance(step.theta))
 
 
 def inside(step: FittedStep) -> list[int]:

@@ -17,7 +17,6 @@ import numpy as np
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.geometry_uncertainty import at_depths
-from limbcli.inference.identifiability import force_variance
 from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.two_step_fit import CurveMatch, search_parameters
@@ -96,13 +95,9 @@ class _ForceProblem(Likelihood):
     ):  # fmt: skip
         curve, knots, data = match.curve, match.knots, match.data
         depth, force = data.depth[data.loaded], data.force[data.loaded]
-        known = match.sample(fitted, depth)
-        variance = force_variance(
-            known.slopes, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation
-        )
-        covariance = np.diag(variance)
+        covariance = np.diag(match.variance(fitted))
         if shape_modes is not None and len(shape_modes):
-            moved = known.values[:, None] * at_depths(shape_modes, knots, depth)
+            moved = match.moved(fitted, shape_modes)
             covariance = covariance + moved @ moved.T
         share = np.ones(len(depth))
         if stiffness.share is not None:

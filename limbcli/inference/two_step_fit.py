@@ -12,6 +12,8 @@ from numpy.typing import NDArray
 
 from limbcli.errors import FitError
 from limbcli.inference.emulator import Emulator
+from limbcli.inference.geometry_uncertainty import at_depths
+from limbcli.inference.identifiability import force_variance
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
 from limbcli.inference.monotone_interpolation import Sample, pchip_sample
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
@@ -62,6 +64,19 @@ class CurveMatch:
         """The curve (N) at depths (n,) mm, with its slopes; 0 before first touch."""
         forces = np.r_[0.0, self.curve(theta).values]
         return pchip_sample(np.r_[0.0, self.knots], forces, np.maximum(depths, 0.0))
+
+    def variance(self, theta: Array) -> Array:
+        """Variance (n,), N^2, of the force residuals at the loaded levels."""
+        data = self.data
+        slopes = self.sample(theta, data.depth[data.loaded]).slopes
+        return force_variance(
+            slopes, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation
+        )
+
+    def moved(self, theta: Array, modes: Array) -> Array:
+        """Change of force (n, n_modes), N, at the loaded levels by changes of ln force (n_modes, n_knots)."""
+        depth = self.data.depth[self.data.loaded]
+        return self.sample(theta, depth).values[:, None] * at_depths(modes, self.knots, depth)
 
 
 @dataclass(frozen=True, eq=False)

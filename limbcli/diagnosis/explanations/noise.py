@@ -128,6 +128,10 @@ class Noise:
     def covariance(self) -> Array:
         return np.asarray(sum(part.covariance for part in self.parts))
 
+    @cached_property
+    def whitener(self) -> Whitener:
+        return Whitener.of(self.covariance)
+
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the parts with a non-zero covariance."""

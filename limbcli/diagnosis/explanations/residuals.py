@@ -149,8 +149,7 @@ def roughness(
     n = len(order)
     columns = [state.jacobian]
     for mask in series.values():
-        x = order[mask]
-        t = 2 * (x - x.min()) / max(float(np.ptp(x)), 1e-12) - 1
+        t = _scaled(order, mask)[mask]
         degree = min(_DEGREE, len(np.unique(t)) - 1)
         smooth = np.zeros((n, degree + 1))
         smooth[mask] = np.polynomial.legendre.legvander(t, degree)
@@ -260,7 +259,7 @@ def force_jump(data: Data, base: Fitted, *, explained: float) -> ForceJump | Non
     among those between all levels: its p is multiplied by their number, and 2 ln(their number) is taken off
     its chi2.
     """
-    whiten = Whitener.of(data.noise.covariance)
+    whiten = data.noise.whitener
     fit = base.whitened(data.y, whiten)
     found: list[ForceJump] = []
     mask = data.channels().get("force", np.zeros(len(data), dtype=bool))

@@ -22,7 +22,6 @@ from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
-from limbcli.numbers.whitening import Whitener
 
 NOTHING = AtPoints()
 M_BOUNDS = (1.0, 20.0)
@@ -81,10 +80,8 @@ class Predictions:
 
     def __init__(self, sites: Sequence[SiteCurves]):
         self.sites = tuple(sites)
-        channels = {channel for each in self.sites for channel in each.site.channels}
-        self.effects: dict[str, Effect] = {
-            name: each.measured_by(channels) for name, each in sites[0].effects.items()
-        }
+        self.channels = {channel for each in self.sites for channel in each.site.channels}
+        self.effects = {name: each.measured_by(self.channels) for name, each in sites[0].effects.items()}
         self.slots, self.priors = cache(self._slots_of), cache(self._priors_of)  # for every prediction
         self._join()
 
@@ -103,7 +100,7 @@ class Predictions:
 
     def _join(self) -> None:
         self.data = joined([each.site for each in self.sites])
-        self.whiten = Whitener.of(self.data.noise.covariance)
+        self.whiten = self.data.noise.whitener
 
     @property
     def site(self) -> SiteData:
@@ -214,8 +211,7 @@ class Predictions:
         FitError, SolveError
             If an effect requires data that were not measured, a bone, or FEBio.
         """
-        has = {channel for each in self.sites for channel in each.site.channels}
-        has |= {"bone"} if all(each.thickness > 0 for each in self.sites) else set()
+        has = self.channels | ({"bone"} if all(each.thickness > 0 for each in self.sites) else set())
         for name in explanation:
             for each in self.sites:
                 if name in each.refused:
