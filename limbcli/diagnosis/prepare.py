@@ -6,6 +6,7 @@ resumed.
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -28,7 +29,7 @@ from limbcli.diagnosis.mesh_error.mesh_correction import F_KAPPA, MeshCorrection
 from limbcli.diagnosis.mesh_error.numerical_checks import USUAL_C, Intervention, Notes, NumericalChecks
 from limbcli.effects.effect import Effect
 from limbcli.errors import CaseError, LimbError, MeasurementError
-from limbcli.files.atomic import atomic_file, sha256
+from limbcli.files.atomic import sha256
 from limbcli.measurement.indentation import read_trace
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.meshing.frame import LARGEST_SLOPE_DEG
@@ -87,9 +88,6 @@ class Prepared:
     curves: SiteCurves
     interventions: list[Intervention]
     notes: Notes
-
-    def close(self) -> None:
-        self.simulations.close()
 
 
 def prepare(
@@ -267,21 +265,17 @@ class _Preparation:
         place = site_position(self.site, segmented)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
                   self.size, self.mesh.far_size, _BENDS, _THIN, LARGEST_SLOPE_DEG, __version__]  # fmt: skip
-        text = json.dumps(plain(recipe))
+        key = hashlib.sha256(json.dumps(plain(recipe)).encode()).hexdigest()[:16]
+        kept = self.work / f"model-{key}.npz"
         self.work.mkdir(parents=True, exist_ok=True)
-        kept, key = self.work / "model.npz", self.work / "model.json"
-        if kept.is_file() and key.is_file() and key.read_text(encoding="utf-8") == text:
-            return load_model(kept)
-        self.progress.event("note", text="making the working mesh")
-        probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
-        sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS, thin=_THIN)
-        meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
-        limb = read_limb(segmented)
-        model = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name).model
-        key.unlink(missing_ok=True)  # the cached mesh is valid only if both files exist
-        save_model(model, kept)
-        with atomic_file(key) as path:
-            path.write_text(text, encoding="utf-8")
+        if not kept.is_file():
+            self.progress.event("note", text="making the working mesh")
+            probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
+            sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS, thin=_THIN)
+            meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
+            limb = read_limb(segmented)
+            made = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name)
+            save_model(made.model, kept)
         return load_model(kept)  # reloaded, so that a resumed diagnosis uses an identical model
 
     def data(

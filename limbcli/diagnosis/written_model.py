@@ -69,10 +69,9 @@ def write_diagnosed(
                 f"{100 * point[each.onset]:.0f} % of the levels"
             )
     write_feb(applied(model, added), writer.file("feb", "diagnosed.feb"), templates)
-    warning = _contact_takes(
-        mine, curves, curves.force * mine.simulations.c / c, float(depth.max()), penalty, out=out
-    )
-    writer.warnings.extend([warning] if warning else [])
+    force = curves.force * mine.simulations.c / c
+    if warning := _contact_takes(mine, curves, force, float(depth.max()), penalty, out=out):
+        writer.warnings.append(warning)
 
 
 def _contact_takes(

@@ -135,15 +135,12 @@ def reported_sizes(
         row: dict[str, Interval] = {}
         for slot in mine:
             p = slot.parameter
-            ends = found.get(name, {}).get(slot.name, (p.low, p.high))
+            low, high = found.get(name, {}).get(slot.name, (p.low, p.high))
             near = _ON_BOUND * (p.high - p.low)
-            open_ends = (
-                ends[0] <= p.low + near and p.null > p.low,
-                ends[1] >= p.high - near and p.null < p.high,
-            )
+            open_ends = low <= p.low + near and p.null > p.low, high >= p.high - near and p.null < p.high
             values = [
                 None if is_open else _finite(p.quantity(each, c_kpa))
-                for each, is_open in zip(ends, open_ends, strict=True)
+                for each, is_open in zip((low, high), open_ends, strict=True)
             ]
             if p.quantity(1.0, c_kpa) > p.quantity(2.0, c_kpa):
                 values.reverse()
@@ -251,10 +248,8 @@ def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: P
     searched.
     """
     rows = [
-        (f"{name}: {slot.name}",
-         _in_plausible_sizes(slot.parameter, found.sizes[name][slot.name]))
-        for name, mine in sizes.items() if name in found.sizes
-        for slot in mine if slot.name in found.sizes[name]
+        (f"{name}: {slot.name}", _in_plausible_sizes(slot.parameter, found.sizes[name][slot.name]))
+        for name, mine in sizes.items() for slot in mine if slot.name in found.sizes.get(name, ())
     ]  # fmt: skip
     figure = Figure(figsize=(8.4, 0.26 * max(len(rows), 4) + 1.2), layout="constrained")
     axes = figure.subplots()

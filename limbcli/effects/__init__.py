@@ -37,31 +37,11 @@ from limbcli.effects.effect import Effect, Parameter
 from limbcli.errors import CaseError
 from limbcli.errors.problems import suggestion
 
-EFFECTS: tuple[Effect, ...] = (
-    locking.EFFECT,
-    crop.EFFECT,
-    contact.EFFECT,
-    force_zero.EFFECT,
-    force_gain.EFFECT,
-    depth_zero.EFFECT,
-    depth_gain.EFFECT,
-    tilt.EFFECT,
-    support_motion.EFFECT,
-    thickness.EFFECT,
-    anisotropy.EFFECT,
-    skin_layer.EFFECT,
-    adipose_layer.EFFECT,
-    inclusion.EFFECT,
-    viscoelasticity.EFFECT,
-    poroelasticity.EFFECT,
-    nonlinearity.EFFECT,
-    preload.EFFECT,
-    contraction.EFFECT,
-    friction.EFFECT,
-    swe_time_scale.EFFECT,
-    swe_guided_wave.EFFECT,
-    swe_depth_bias.EFFECT,
-)
+EFFECTS: tuple[Effect, ...] = tuple(each.EFFECT for each in (
+    locking, crop, contact, force_zero, force_gain, depth_zero, depth_gain, tilt, support_motion, thickness,
+    anisotropy, skin_layer, adipose_layer, inclusion, viscoelasticity, poroelasticity, nonlinearity, preload,
+    contraction, friction, swe_time_scale, swe_guided_wave, swe_depth_bias,
+))  # fmt: skip
 
 __all__ = ["EFFECTS", "Effect", "Parameter", "effect"]
 

@@ -15,8 +15,8 @@ import math
 import numpy as np
 
 from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.effects.stiffness_places import Places, stiffened
-from limbcli.model import Array, LimbModel
+from limbcli.effects.stiffness_places import Places
+from limbcli.model import Array
 
 THICKNESS = "fat_thickness_mm"
 THICK = Parameter.of_shape(THICKNESS, 6.0, 1.5, 20.0, "2 to 15 mm at the calf")
@@ -41,21 +41,13 @@ def stiffness(places: Places, theta: Theta) -> Array:
     return np.asarray(1.0 + inside * np.expm1(-theta[SOFTNESS.name]))
 
 
-def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    if theta[SOFTNESS.name] == 0.0:
-        return model
-    return stiffened(model, lambda places: stiffness(places, theta))
-
-
 EFFECT = Effect(
     name="adipose-layer",
     sentence="a layer of fat, softer than the muscle below, lies under the skin",
     kind="tissue",
     source="Comley & Fleck 2010, Int J Solids Struct 47:2982",
     parameters=(SOFTNESS, THICK),
-    apply=apply,
     stiffness=stiffness,
     grid=({THICKNESS: 6.0}, {THICKNESS: 3.0}, {THICKNESS: 10.0}),
     solves=True,
-    tell_tale="a long toe, then strong stiffening; shallow speeds low",
 )

@@ -34,13 +34,9 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
         return model
     c = ground_modulus(model)
     fibre: dict[str, Value] = {
-        "ksi": tension * c,
-        "alpha": theta.get(EXPONENT, 0.0),
-        "beta": 2.0,
-        "mu": shear * c,
-        "lam0": 1.0,
+        "ksi": tension * c, "alpha": theta.get(EXPONENT, 0.0), "beta": 2.0, "mu": shear * c, "lam0": 1.0,
         "fiber": fibre_direction(model),
-    }
+    }  # fmt: skip
     return with_part(model, Material("fiber_exp_pow", fibre))
 
 
@@ -53,5 +49,4 @@ EFFECT = Effect(
     apply=apply,
     grid=({EXPONENT: 0.0}, {EXPONENT: 3.0}),
     solves=True,
-    tell_tale="force higher than the transverse speeds predict; rotating the probe by 90 degrees reverses it",
 )

@@ -35,5 +35,4 @@ EFFECT = Effect(
     parameters=(FACTOR,),
     apply=apply,
     solves=True,
-    tell_tale="force low by a constant share",
 )

@@ -39,5 +39,4 @@ EFFECT = Effect(
     grid=tuple({ONSET: k / 16} for k in (0, *range(4, 13))),  # every level, where there are up to 16
     onset=ONSET,
     solves=True,
-    tell_tale="erratic levels; force fluctuates in holds",
 )

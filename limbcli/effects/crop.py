@@ -44,5 +44,4 @@ EFFECT = Effect(
     parameters=(FREED,),
     apply=apply,
     solves=True,
-    tell_tale="too stiff, increasingly at larger depth",
 )

@@ -41,10 +41,11 @@ class Curves:
         lines = [] if self.log_line is None else [self.log_line]
         return np.column_stack([self.log_speed, *lines])
 
-    def with_columns(self, table: Array) -> dict[str, Array | None]:
-        """Fields of these curves with the values of such a table, for `replace`."""
+    def with_table(self, depth: Array, force: Array, table: Array) -> Curves:
+        """The curves with these depths, forces and `columns`."""
         n = self.log_speed.shape[1]
-        return {"log_speed": table[:, :n], "log_line": None if self.log_line is None else table[:, n:]}
+        lines = None if self.log_line is None else table[:, n:]
+        return replace(self, depth=depth, force=force, log_speed=table[:, :n], log_line=lines)
 
     @cached_property
     def force_curve(self) -> Monotone:
@@ -74,18 +75,20 @@ def log_force_at(curves: Curves, depth: Array) -> Array:
     at = np.log(np.maximum(depth, 1e-6))
     if len(x) < 2:
         return np.asarray(y[0] + 1.5 * (at - x[0]))
-    curve = Monotone.through(x, y)
-    first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    return curve.with_lines(at, first, last)
+    return _as_powers(Monotone.through(x, y), at)
 
 
 def depth_at(curves: Curves, force: Array) -> Array:
     """Depth (mm) at forces > 0: PCHIP of ln depth over ln force, extrapolated as a power of force at both
     ends."""
-    curve, at = curves.depth_curve, np.log(np.maximum(force, 1e-9))
+    return np.exp(_as_powers(curves.depth_curve, np.log(np.maximum(force, 1e-9)), far=_FAR))
+
+
+def _as_powers(curve: Monotone, at: Array, *, far: float = np.inf) -> Array:
+    """A curve of logarithms, extrapolated along its first and last secants."""
     x, y = curve.knots, curve.values
     first, last = (y[1] - y[0]) / (x[1] - x[0]), (y[-1] - y[-2]) / (x[-1] - x[-2])
-    return np.exp(curve.with_lines(at, first, last, far=_FAR))
+    return curve.with_lines(at, first, last, far=far)
 
 
 def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = None) -> Curves:
@@ -107,12 +110,8 @@ def continued(curves: Curves, depths: Sequence[float], *, like: Curves | None = 
         found = _logs_at(like, further)[:, : known.shape[1]] + apart[1]
         found = found + np.multiply.outer(further - last[1], rise)
         log_force, table = found[:, 0], found[:, 1:]
-    return replace(
-        curves,
-        depth=np.concatenate([curves.depth, further]),
-        force=np.concatenate([curves.force, np.exp(log_force)]),
-        **curves.with_columns(np.vstack([curves.columns, table])),  # type: ignore[arg-type]
-    )
+    depth, force = np.r_[curves.depth, further], np.r_[curves.force, np.exp(log_force)]
+    return curves.with_table(depth, force, np.vstack([curves.columns, table]))
 
 
 def filled(curves: Curves, like: Curves, rows: Sequence[int]) -> Curves:
@@ -127,10 +126,7 @@ def filled(curves: Curves, like: Curves, rows: Sequence[int]) -> Curves:
     depth[solved] = curves.depth
     table = base + columns_through(curves.depth, known - base[solved], depth)
     table[solved] = known
-    return replace(
-        curves, depth=depth, force=np.concatenate([curves.force[:1], np.exp(table[1:, 0])]),
-        **curves.with_columns(table[:, 1:]),  # type: ignore[arg-type]
-    )  # fmt: skip
+    return curves.with_table(depth, np.r_[curves.force[:1], np.exp(table[1:, 0])], table[:, 1:])
 
 
 def _logs(curves: Curves) -> Array:
@@ -154,13 +150,8 @@ def depth_of_force(curves: Curves, force: float) -> float:
     """
     curve, end = curves.force_curve, float(curves.depth[-1])
     if force >= curves.force[-1]:
-        return min(end + (force - float(curves.force[-1])) / max(float(curve.slope(end)), 1e-9), 2.0 * end)
+        return min(end + (force - float(curves.force[-1])) / max(float(curve.slopes[-1]), 1e-9), 2.0 * end)
     return float(curve.inverse(np.array([force]))[0]) if force > 0 else float(curves.depth[0])
-
-
-def columns_at(curves: Curves, depth: Array) -> Array:
-    """ln speed (n_levels, n_windows) at depths, each window interpolated from its own finite values."""
-    return columns_through(curves.depth, curves.log_speed, depth)
 
 
 def without_gaps(curves: Curves) -> Array:
@@ -169,7 +160,7 @@ def without_gaps(curves: Curves) -> Array:
     Interpolated between these, constant before the first and extrapolated linearly beyond the last; NaN for a
     window with fewer than two.
     """
-    return columns_at(curves, curves.depth)
+    return columns_through(curves.depth, curves.log_speed, curves.depth)
 
 
 def gaps_filled(table: Array) -> Array:
@@ -187,11 +178,3 @@ def gaps_filled(table: Array) -> Array:
         here = known[:, k]
         out[:, k] = np.interp(rows, rows[here], table[here, k])
     return out
-
-
-def column_at(knots: Array, values: Array, depth: Array) -> Array:
-    """PCHIP within the knots, constant before them, extrapolated linearly beyond."""
-    curve = Monotone.through(knots, values)
-    inside = np.clip(depth, knots[0], knots[-1])
-    beyond = np.maximum(depth - knots[-1], 0.0)
-    return np.asarray(curve(inside) + np.multiply.outer(beyond, curve.slope(knots[-1])))

@@ -8,25 +8,10 @@ Source: Goss et al. 1978, J Acoust Soc Am 64:423 (speeds of sound in tissue).
 
 from __future__ import annotations
 
-from dataclasses import replace
+from limbcli.effects.effect import Effect, Parameter, multiplies
 
-from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.effects.reading import Reading
-
-GAIN = Parameter(
-    "depth_gain",
-    null=1.0,
-    start=1.02,
-    low=0.93,
-    high=1.05,
-    typical=1.03,
-    prior="sound speed 1450 to 1580 m/s",
-)
-
-
-def observe(reading: Reading, theta: Theta) -> Reading:
-    return replace(reading, depth_gain=reading.depth_gain * theta[GAIN.name])
-
+GAIN = Parameter("depth_gain", null=1.0, start=1.02, low=0.93, high=1.05, typical=1.03,
+                 prior="sound speed 1450 to 1580 m/s")  # fmt: skip
 
 EFFECT = Effect(
     name="depth-gain",
@@ -34,7 +19,5 @@ EFFECT = Effect(
     kind="measurement",
     source="Goss et al. 1978, J Acoust Soc Am 64:423 (speeds of sound in tissue)",
     parameters=(GAIN,),
-    needs=("force",),
-    observe=observe,
-    tell_tale="stretches both force and speed over depth",
+    observe=multiplies("depth_gain", GAIN),
 )

@@ -14,16 +14,8 @@ from dataclasses import replace
 from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 
-ZERO = Parameter(
-    "depth_zero_mm",
-    null=0.0,
-    start=0.5,
-    low=-3.0,
-    high=3.0,
-    typical=1.0,
-    prior="0.5 to 2 mm by eye on a B-mode frame",
-    reported="d0_mm",
-)
+ZERO = Parameter("depth_zero_mm", null=0.0, start=0.5, low=-3.0, high=3.0, typical=1.0,
+                 prior="0.5 to 2 mm by eye on a B-mode frame", reported="d0_mm")  # fmt: skip
 TOUCHES = "depth_0_is_first_touch"  # 1: it is; 0: it is off by d0 like the others
 
 
@@ -40,9 +32,7 @@ EFFECT = Effect(
     kind="measurement",
     source="first-frame selection on B-mode images",
     parameters=(ZERO,),
-    needs=("force",),
     observe=observe,
     grid=({TOUCHES: 0.0}, {TOUCHES: 1.0}),
     each_time=True,
-    tell_tale="a horizontal shift; the toe is cut or stretched; speed over depth shifts too",
 )

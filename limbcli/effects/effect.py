@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from limbcli.effects.reading import Reading
-from limbcli.effects.stiffness_places import Places
+from limbcli.effects.stiffness_places import Places, Stiffness, stiffened
 from limbcli.model import Array, LimbModel
 
 Theta = Mapping[str, float]
@@ -101,6 +101,20 @@ def exponential(value: float, c_kpa: float) -> float:
     return math.exp(value)
 
 
+def adds_to(field: str, parameter: Parameter) -> Callable[[Reading, Theta], Reading]:
+    """The change of a reading by a parameter that is added to this field of it."""
+    return lambda reading, theta: _with_field(reading, field, getattr(reading, field) + theta[parameter.name])
+
+
+def multiplies(field: str, parameter: Parameter) -> Callable[[Reading, Theta], Reading]:
+    """The change of a reading by a parameter that is a factor on this field of it."""
+    return lambda reading, theta: _with_field(reading, field, getattr(reading, field) * theta[parameter.name])
+
+
+def _with_field(reading: Reading, field: str, value: float) -> Reading:
+    return replace(reading, **{field: value})  # type: ignore[arg-type]
+
+
 def same_model(model: LimbModel, theta: Theta) -> LimbModel:
     """The unchanged model, for effects on the reading."""
     return model
@@ -120,7 +134,7 @@ class Effect:
     grid : values, tried in turn, of parameters that are undefined at the null (a time constant, a place); for
         those declared with `shape` they are only the initial guess of a fit
     stiffness : the field by which the effect multiplies all stiffnesses of the tissue, if it does so; `apply`
-        then follows from it
+        follows from it unless it is given
     waves : change of the law as seen in the scanner's window, where it differs from `apply` (a layer thinner
         than an element stiffens the whole element, but lies above the window)
     solves : the prediction needs a simulation with `apply`; otherwise `observe` is sufficient (where both
@@ -152,7 +166,21 @@ class Effect:
     spreads: bool = False
     onset: str = ""
     each_time: bool = False
-    tell_tale: str = ""
+
+    def __post_init__(self) -> None:
+        if self.stiffness is not None and self.apply is same_model:
+            object.__setattr__(self, "apply", self._stiffened)
+
+    def _stiffened(self, model: LimbModel, theta: Theta) -> LimbModel:
+        if all(theta[each.name] == each.null for each in self.sizes):
+            return model
+        return stiffened(model, self.factor(theta))
+
+    def factor(self, theta: Theta) -> Stiffness:
+        """Its field of stiffness at these values of its parameters."""
+        stiffness = self.stiffness
+        assert stiffness is not None
+        return lambda places: stiffness(places, theta)
 
     @property
     def sizes(self) -> tuple[Parameter, ...]:

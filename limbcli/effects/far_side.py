@@ -48,5 +48,4 @@ FAR_SIDE = Effect(
     parameters=(HELD,),
     apply=apply,
     solves=True,
-    tell_tale="too soft, increasingly at larger depth",
 )

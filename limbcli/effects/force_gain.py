@@ -8,19 +8,11 @@ Source: calibration of load cells.
 
 from __future__ import annotations
 
-from dataclasses import replace
-
-from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.effects.reading import Reading
+from limbcli.effects.effect import Effect, Parameter, multiplies
 
 GAIN = Parameter(
     "force_gain", null=1.0, start=1.03, low=0.9, high=1.1, typical=1.05, prior="calibration within 5 %"
 )
-
-
-def observe(reading: Reading, theta: Theta) -> Reading:
-    return replace(reading, force_gain=reading.force_gain * theta[GAIN.name])
-
 
 EFFECT = Effect(
     name="force-gain",
@@ -28,7 +20,5 @@ EFFECT = Effect(
     kind="measurement",
     source="calibration of load cells",
     parameters=(GAIN,),
-    needs=("force",),
-    observe=observe,
-    tell_tale="the force scale differs from what the wave speeds indicate",
+    observe=multiplies("force_gain", GAIN),
 )

@@ -8,26 +8,10 @@ Source: statics of a tilted load cell.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from limbcli.effects.effect import Effect, Parameter, adds_to
 
-from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.effects.reading import Reading
-
-ZERO = Parameter(
-    "force_zero_n",
-    null=0.0,
-    start=0.5,
-    low=-4.0,
-    high=4.0,
-    typical=1.0,
-    prior="probe of 0.2 to 0.4 kg, tilted",
-    reported="f0_n",
-)
-
-
-def observe(reading: Reading, theta: Theta) -> Reading:
-    return replace(reading, force_zero=reading.force_zero + theta[ZERO.name])
-
+ZERO = Parameter("force_zero_n", null=0.0, start=0.5, low=-4.0, high=4.0, typical=1.0,
+                 prior="probe of 0.2 to 0.4 kg, tilted", reported="f0_n")  # fmt: skip
 
 EFFECT = Effect(
     name="force-zero",
@@ -35,8 +19,6 @@ EFFECT = Effect(
     kind="measurement",
     source="statics of a tilted load cell",
     parameters=(ZERO,),
-    needs=("force",),
-    observe=observe,
+    observe=adds_to("force_zero", ZERO),
     each_time=True,
-    tell_tale="a vertical shift of the whole force-depth curve; speed over depth stays",
 )

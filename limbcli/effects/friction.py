@@ -43,5 +43,4 @@ EFFECT = Effect(
     needs=("force", "map"),
     apply=apply,
     solves=True,
-    tell_tale="almost none in force and mean speed",
 )

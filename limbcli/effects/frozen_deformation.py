@@ -16,10 +16,10 @@ Source: Bonnans & Shapiro 2000, Perturbation Analysis of Optimization Problems, 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicSpline
@@ -30,26 +30,11 @@ from limbcli.materials import compile_material
 from limbcli.materials.energy import deformation_of, energy_at
 from limbcli.materials.kernel import Deformation
 from limbcli.model import Array, IntArray, LimbModel
+from limbcli.shear_waves.pixels import PixelAverages
 from limbcli.shear_waves.speed import block_speeds
 
 _UNIFORM = 1e-3  # range of the factor over the cells below which no slope is fitted
 _LARGEST_CORRECTION = 0.7  # limit of the ln speed correction from a cell's mean factor to that at a place
-
-
-class Averages(Protocol):
-    """Averaging from points to pixels: (n_points, ...) -> (n_pixels, ...); index: points that contribute."""
-
-    @property
-    def index(self) -> IntArray: ...
-
-    def __call__(self, values: Array) -> Array: ...
-
-
-class SpeedRegion(Protocol):
-    """The scanner's region: from speeds at its pixels (..., n_pixels) to ln mean speeds of the whole region
-    and its parts (..., 1 + n_parts)."""
-
-    def log_means_of(self, speed_m_per_s: Array) -> Array: ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,19 +56,19 @@ class ScannerView:
 
     averages : from the tissue's points to pixels
     places : (n_pixels, n, 3) places in the unloaded tissue that each pixel averages, with weights (n,)
+    log_means_of : from speeds at the pixels (..., n_pixels) to ln mean speeds of the whole region and its
+        parts (..., 1 + n_parts)
     """
 
-    averages: Averages
+    averages: PixelAverages
     places: Places
     weight: Array
-    region: SpeedRegion
+    log_means_of: Callable[[Array], Array]
 
     def with_fields(
-        self,
-        at_pixels: Array,
-        stiffness: Sequence[Stiffness],
+        self, at_pixels: Array, stiffness: Sequence[Stiffness],
         concentration: StrainConcentration | None = None,
-    ) -> Array:
+    ) -> Array:  # fmt: skip
         """Speeds at pixels (n_pixels,) of the law, with its stiffnesses multiplied by fields.
 
         concentration : of these fields, at this depth
@@ -115,9 +100,8 @@ class SolvedDeformation:
     rest: Array
     volume: Array
     seen: tuple[ScannerView, ...] = ()
-    _energies: dict[int, Array] = field(default_factory=dict)
-    _speeds: dict[int, Array] = field(default_factory=dict)
-    _models: list[LimbModel] = field(default_factory=list)
+    _energies: dict[LimbModel, Array] = field(default_factory=dict)
+    _speeds: dict[LimbModel, Array] = field(default_factory=dict)
     _deformations: list[Deformation] = field(default_factory=list)
 
     @property
@@ -132,41 +116,34 @@ class SolvedDeformation:
 
     def cell_energies(self, model: LimbModel) -> Array:
         """Stored energy (n, n_cells) in N mm of each cell at each depth; cached by model."""
-        if id(model) not in self._energies:
+        if model not in self._energies:
             material = compile_material(model.materials[TISSUE], TISSUE)
             program = material.program(len(self.volume), lambda name: 1.0)
             ops: Any = program.ops
             if not self._deformations:
                 self._deformations.extend(map(deformation_of, self.gradient))
             with np.errstate(over="ignore", invalid="ignore"):  # an exponential law may overflow
-                self._energies[id(model)] = np.array(
-                    [
-                        (energy_at(ops, program.par, each) * self.volume).sum(axis=1)
-                        for each in self._deformations
-                    ]
-                )
-            self._models.append(model)  # keeps its id from being reused
-        return self._energies[id(model)]
+                energies = [energy_at(ops, program.par, each) * self.volume for each in self._deformations]
+                self._energies[model] = np.array([each.sum(axis=1) for each in energies])
+        return self._energies[model]
 
     def forget(self, *models: LimbModel) -> None:
         """Remove models that are no longer needed from the cache."""
         for model in models:
-            self._energies.pop(id(model), None)
-            self._speeds.pop(id(model), None)
-            self._models = [each for each in self._models if each is not model]
+            self._energies.pop(model, None)
+            self._speeds.pop(model, None)
 
     def pixel_speeds(self, model: LimbModel, *, density_kg_per_m3: float) -> Array:
         """Speeds (n, n_pixels) in m/s at each depth; cached by model."""
-        if id(model) not in self._speeds:
+        if model not in self._speeds:
             rows = []
             for k, seen in enumerate(self.seen):
                 needed = np.unique(seen.averages.index)
                 speed = np.full(self.volume.size, np.nan)
                 speed[needed] = self.point_speeds(k, model, needed, density_kg_per_m3=density_kg_per_m3)
                 rows.append(seen.averages(speed))
-            self._speeds[id(model)] = np.array(rows)
-            self._models.append(model)
-        return self._speeds[id(model)]
+            self._speeds[model] = np.array(rows)
+        return self._speeds[model]
 
     def point_speeds(
         self, depth_number: int, model: LimbModel, points: IntArray, *, density_kg_per_m3: float
@@ -193,13 +170,9 @@ def frozen_force(
 
 
 def frozen_speed(
-    model: LimbModel,
-    kinematics: SolvedDeformation,
-    stiffness: Sequence[Stiffness] = (),
-    *,
-    density_kg_per_m3: float,
-    concentrations: Sequence[StrainConcentration] = (),
-) -> Array:
+    model: LimbModel, kinematics: SolvedDeformation, stiffness: Sequence[Stiffness] = (), *,
+    density_kg_per_m3: float, concentrations: Sequence[StrainConcentration] = (),
+) -> Array:  # fmt: skip
     """ln of the mean speed (n, n_parts) in the parts of the window, at the unchanged deformation.
 
     concentrations : one per depth, where the deformation includes the fields (see `strain_concentrations`)
@@ -212,7 +185,7 @@ def frozen_speed(
     ]
     if not at_pixels:
         return np.zeros((len(kinematics.depth), 0))
-    return kinematics.seen[0].region.log_means_of(np.array(at_pixels))
+    return kinematics.seen[0].log_means_of(np.array(at_pixels))
 
 
 def strain_concentrations(

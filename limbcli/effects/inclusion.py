@@ -16,8 +16,8 @@ import itertools
 import numpy as np
 
 from limbcli.effects.effect import Effect, Parameter, Theta, exponential
-from limbcli.effects.stiffness_places import Places, stiffened
-from limbcli.model import Array, LimbModel
+from limbcli.effects.stiffness_places import Places
+from limbcli.model import Array
 from limbcli.numbers.compiled import njit
 
 X, DEPTH, RADIUS, EDGE = (
@@ -62,22 +62,14 @@ def _ball(at, middle, radius, scale, rise):  # type: ignore[no-untyped-def]
     return out
 
 
-def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    if theta[CONTRAST.name] == 0.0:
-        return model
-    return stiffened(model, lambda places: stiffness(places, theta))
-
-
 EFFECT = Effect(
     name="inclusion",
     sentence="a region (scar, fibrosis) is stiffer or softer than the rest",
     kind="tissue",
     source="Bramley et al. 2021, Ann Biomed Eng 49:3176",
     parameters=(CONTRAST, *SHAPE),
-    apply=apply,
     stiffness=stiffness,
     grid=_PLACES,
     needs=("force", "map"),
     solves=True,
-    tell_tale="a spot in the speed map at every load, present already at rest",
 )

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
-
 from limbcli.effects.effect import Effect, Theta
-from limbcli.effects.stiffness_places import Places, Stiffness
-from limbcli.model import Array, LimbModel
+from limbcli.effects.stiffness_places import Stiffness
+from limbcli.model import LimbModel
 
 Ingredients = tuple[tuple[Effect, Theta], ...]
 _SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "springs", "contacts", "curves")
@@ -39,14 +37,9 @@ def stiffness_fields(ingredients: Ingredients, *, waves: bool = False) -> tuple[
     """Stiffness fields of the effects that are a factor on all stiffnesses; `waves`: for the wave speeds,
     without effects that have a separate law there."""
     return tuple(
-        partial(_stiffness_of, effect, theta) for effect, theta in ingredients
+        effect.factor(theta) for effect, theta in ingredients
         if effect.stiffness is not None and not (waves and effect.waves is not None)
     )  # fmt: skip
-
-
-def _stiffness_of(effect: Effect, theta: Theta, places: Places) -> Array:
-    assert effect.stiffness is not None
-    return effect.stiffness(places, theta)
 
 
 def is_of_law_alone(model: LimbModel, changed: LimbModel) -> bool:

@@ -79,5 +79,4 @@ EFFECT = Effect(
     apply=apply,
     solves=True,
     new_mesh=True,
-    tell_tale="force too high by a factor that grows with f_kappa",
 )

@@ -40,5 +40,4 @@ EFFECT = Effect(
     apply=apply,
     grid=({EXPONENT: 12.0},),
     solves=True,
-    tell_tale="the m of the force and the m of the speeds disagree",
 )

@@ -111,15 +111,12 @@ def _wrong(effect: Effect, known: Sequence[Effect]) -> Iterator[tuple[str, str]]
 
 def _guarded(effect: Effect, path: Path) -> Effect:
     """The same effect with functions whose errors name the file."""
-    changed: dict[str, Any] = {}
-    if effect.apply is not same_model:
-        changed["apply"] = _with_its_errors(effect.apply, "apply", LimbModel, path)
-    if effect.observe is not same_reading:
-        changed["observe"] = _with_its_errors(effect.observe, "observe", Reading, path)
-    if effect.waves is not None:
-        changed["waves"] = _with_its_errors(effect.waves, "waves", LimbModel, path)
-    if effect.stiffness is not None:
-        changed["stiffness"] = _with_its_errors(effect.stiffness, "stiffness", object, path)
+    kinds = {"apply": LimbModel, "observe": Reading, "waves": LimbModel, "stiffness": object}
+    own = {name: getattr(effect, name) for name in kinds}
+    changed: dict[str, Any] = {
+        name: _with_its_errors(each, name, kinds[name], path)
+        for name, each in own.items() if each not in (None, same_model, same_reading)
+    }  # fmt: skip
     return replace(effect, **changed)
 
 

@@ -42,12 +42,12 @@ PERMEABILITY = Parameter("log_permeability_ratio", null=0.0, start=3.9, low=0.0,
 
 
 def permeability(theta: Theta) -> float:
-    """Permeability in mm^4/(N s). The fitted parameter is ln(1 + k / 0.2), in which drainage is about linear.
+    """In mm^4/(N s).
 
     >>> round(permeability(with_permeability(50.0)), 9)
     50.0
     """
-    return BENDS * math.expm1(theta[PERMEABILITY.name])
+    return PERMEABILITY.quantity(theta[PERMEABILITY.name], 0.0)
 
 
 def with_permeability(k: float) -> dict[str, float]:
@@ -96,5 +96,4 @@ EFFECT = Effect(
     grid=({DRAINED: 2.0},),
     solves=True,
     febio_only=True,
-    tell_tale="slow creep, slower under a larger footprint",
 )

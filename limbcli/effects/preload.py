@@ -10,26 +10,10 @@ Source: Gennisson et al. 2007, J Acoust Soc Am 122:3211 (stretched tissue carrie
 
 from __future__ import annotations
 
-from dataclasses import replace
+from limbcli.effects.effect import Effect, Parameter, adds_to
 
-from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.effects.reading import Reading
-
-PRELOAD = Parameter(
-    "preload_n",
-    null=0.0,
-    start=0.5,
-    low=0.0,
-    high=3.0,
-    typical=0.7,
-    prior="0 to 2 N: weight of the probe, contact through gel",
-    reported="f0_n",
-)
-
-
-def observe(reading: Reading, theta: Theta) -> Reading:
-    return replace(reading, preload=reading.preload + theta[PRELOAD.name])
-
+PRELOAD = Parameter("preload_n", null=0.0, start=0.5, low=0.0, high=3.0, typical=0.7,
+                    prior="0 to 2 N: weight of the probe, contact through gel", reported="f0_n")  # fmt: skip
 
 EFFECT = Effect(
     name="preload",
@@ -37,8 +21,6 @@ EFFECT = Effect(
     kind="tissue",
     source="Gennisson et al. 2007, J Acoust Soc Am 122:3211 (stretched tissue carries waves faster)",
     parameters=(PRELOAD,),
-    needs=("force",),
-    observe=observe,
+    observe=adds_to("preload", PRELOAD),
     each_time=True,
-    tell_tale="the toe is missing; the speed at level 0 is that of compressed tissue",
 )

@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from limbcli.effects.curves import Curves, column_at, columns_at, depth_of_force, force_at
+from limbcli.effects.curves import Curves, depth_of_force, force_at
 from limbcli.effects.drainage import Drainage
+from limbcli.inference.monotone_interpolation import columns_through
 from limbcli.model import Array
 
 
@@ -38,6 +39,25 @@ class Protocol:
         """Protocol of the deepest level alone, loaded directly and not held."""
         k = int(np.argmax(self.depth))
         return Protocol(self.force[k : k + 1], self.depth[k : k + 1], np.zeros(1), self.ramp)
+
+    def remembered(self, values: Array, tau: float, rest: float) -> Array:
+        """int exp(-(t - s)/tau) dv/ds ds at the end of each hold (n_levels,), of values v (n_levels,).
+
+        Each step is a ramp of `ramp` seconds, linear in v and starting from `rest`, followed by its hold.
+        """
+        held = np.where(np.isfinite(self.hold), self.hold, 0.0)
+        ramp_kept = tau / self.ramp * -np.expm1(-self.ramp / tau)
+        found, state, before = np.empty(len(values)), 0.0, rest
+        for k, now in enumerate(values.tolist()):
+            state = state * np.exp(-self.ramp / tau) + (now - before) * ramp_kept
+            state *= np.exp(-held[k] / tau)
+            before = now
+            found[k] = state
+        return found
+
+
+Memory = Callable[[Array, float, float], Array]
+"""(values v, tau in s, v at rest) -> int exp(-(t - s)/tau) dv/ds ds where v is given."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +128,7 @@ def read(
     array([1., 9.])
     """
     depth = true_depth(curves, protocol.depth, reading)
-    force = relaxed(force_at(curves, depth), curves, depth, protocol, reading)
+    force = relaxed(force_at(curves, depth), curves, depth, reading, protocol.remembered)
     force = force - borne_at_zero(curves, reading)
     if with_speeds:
         speed = _speeds(curves, depth, reading)
@@ -127,23 +147,23 @@ def read(
     return shown
 
 
-def relaxed(elastic: Array, curves: Curves, depth: Array, protocol: Protocol, reading: Reading) -> Array:
-    """Force (N) at the end of each hold (n_levels,), with relaxation and drainage.
+def relaxed(elastic: Array, curves: Curves, depth: Array, reading: Reading, memory: Memory) -> Array:
+    """Force (N) at the end of each hold, or at all times of a record (n,), with relaxation and drainage.
 
-    elastic : (n_levels,) of fully relaxed but undrained tissue: `force_at` of these curves and depths
-    depth : (n_levels,) of the probe since first touch (mm)
+    elastic : (n,) of fully relaxed but undrained tissue: `force_at` of these curves and depths
+    depth : (n,) of the probe since first touch (mm); memory : of what was loaded as these depths were
 
     Under a preload the tissue is assumed to be in equilibrium beforehand.
     """
     force = elastic
     for share, tau in reading.prony:  # F_e + sum_i g_i int exp(-(t - s)/tau_i) dF_e/ds ds (g0 = 1)
-        force = force + share * remembered(elastic, protocol, tau, rest=reading.preload)
+        force = force + share * memory(elastic, tau, reading.preload)
     if not reading.draining:
         return force
     pressed, rest = np.maximum(depth, 0.0), _depth_at_zero(curves, reading)
     for drainage, rate in reading.draining:
-        memory = [remembered(pressed, protocol, tau, rest=rest) for tau in drainage.times(rate).tolist()]
-        force = force * drainage.left(pressed, np.column_stack(memory), rate)
+        kept = [memory(pressed, tau, rest) for tau in drainage.times(rate).tolist()]
+        force = force * drainage.left(pressed, np.column_stack(kept), rate)
     return force
 
 
@@ -184,7 +204,7 @@ def travelled(curves: Curves, protocol: Protocol, reading: Reading) -> Array:
 def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:
     if not curves.log_speed.shape[1]:
         return np.zeros((len(depth), 0))
-    speed = columns_at(curves, depth) + reading.log_speed_shift
+    speed = columns_through(curves.depth, curves.log_speed, depth) + reading.log_speed_shift
     if reading.prony:
         speed = speed + 0.5 * np.log1p(sum(share for share, _ in reading.prony))
     if reading.guided:
@@ -199,7 +219,7 @@ def _layers_at(curves: Curves, depth: Array) -> Array:
     """Layer thicknesses (n_levels, n_lines) at depths (mm)."""
     if curves.log_line is None:
         return np.zeros((len(depth), 0))
-    return np.diff(np.exp(column_at(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
+    return np.diff(np.exp(columns_through(curves.depth, curves.log_line, depth)), axis=1, prepend=0.0)
 
 
 def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
@@ -207,19 +227,3 @@ def _guided(log_speed: Array, height: Array, per_f2: float) -> Array:
     v_mm_per_s = 1e3 * np.exp(log_speed)
     ratio = (v_mm_per_s / (2.0 * height[:, None])) ** 2 * per_f2 * 1e-4
     return -0.5 * np.log1p(-np.minimum(ratio, 0.9))
-
-
-def remembered(values: Array, protocol: Protocol, tau: float, *, rest: float = 0.0) -> Array:
-    """int exp(-(t - s)/tau) dv/ds ds at the end of each hold (n_levels,), of values v (n_levels,).
-
-    Each step is a ramp of `ramp` seconds, linear in v and starting from `rest`, followed by its hold.
-    """
-    held = np.where(np.isfinite(protocol.hold), protocol.hold, 0.0)
-    ramp_kept = tau / protocol.ramp * -np.expm1(-protocol.ramp / tau)
-    found, state, before = np.empty(len(values)), 0.0, rest
-    for k, now in enumerate(values.tolist()):
-        state = state * np.exp(-protocol.ramp / tau) + (now - before) * ramp_kept
-        state *= np.exp(-held[k] / tau)
-        before = now
-        found[k] = state
-    return found

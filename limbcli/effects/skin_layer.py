@@ -16,8 +16,8 @@ import math
 import numpy as np
 
 from limbcli.effects.effect import Effect, Parameter, Theta, same_model
-from limbcli.effects.stiffness_places import Places, stiffened
-from limbcli.model import Array, LimbModel
+from limbcli.effects.stiffness_places import Places
+from limbcli.model import Array
 
 THICKNESS = "skin_thickness_mm"
 
@@ -39,23 +39,15 @@ def stiffness(places: Places, theta: Theta) -> Array:
     return np.asarray(1.0 + inside * np.expm1(theta[STIFFNESS.name]))
 
 
-def apply(model: LimbModel, theta: Theta) -> LimbModel:
-    if theta[STIFFNESS.name] == 0.0:
-        return model
-    return stiffened(model, lambda places: stiffness(places, theta))
-
-
 EFFECT = Effect(
     name="skin-layer",
     sentence="the skin is a thin layer much stiffer than what lies below",
     kind="tissue",
     source="Hendriks et al. 2003, Skin Res Technol 9:274",
     parameters=(STIFFNESS,),
-    apply=apply,
     waves=same_model,
     stiffness=stiffness,
     grid=({THICKNESS: 1.5},),
     solves=True,
     spreads=True,
-    tell_tale="stiff from the first millimetre on; superficial speeds rise less",
 )

@@ -74,10 +74,6 @@ def stiffened(model: LimbModel, stiffness: Stiffness) -> LimbModel:
     return scaled(model, cell_means(model, stiffness))
 
 
-def layer_share(model: LimbModel, low: float, high: float) -> Array:
-    """Fraction (n_cells,) of each tissue cell that lies between two depths below the skin (mm)."""
-
-    def inside(places: Places) -> Array:
-        return ((places.below_skin >= low) & (places.below_skin < high)).astype(float)
-
-    return cell_means(model, inside)
+def layer_share(model: LimbModel, thickness: float) -> Array:
+    """Fraction (n_cells,) of each tissue cell that lies in the outermost layer of this thickness (mm)."""
+    return cell_means(model, lambda places: (places.below_skin < thickness).astype(float))

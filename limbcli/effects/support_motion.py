@@ -12,8 +12,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.effects.reading import Reading
+from limbcli.effects.effect import Effect, Parameter, Theta, adds_to
 from limbcli.model import LimbModel
 from limbcli.model.bodies import Drive, RigidBody, Spring
 
@@ -51,10 +50,6 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     )
 
 
-def observe(reading: Reading, theta: Theta) -> Reading:
-    return replace(reading, compliance=reading.compliance + theta[COMPLIANCE.name])
-
-
 EFFECT = Effect(
     name="support-motion",
     sentence="limb and bone move under the load",
@@ -63,6 +58,5 @@ EFFECT = Effect(
     parameters=(COMPLIANCE,),
     needs=("travel",),
     apply=apply,
-    observe=observe,
-    tell_tale="probe travel minus depth grows with force",
+    observe=adds_to("compliance", COMPLIANCE),
 )

@@ -14,16 +14,8 @@ from dataclasses import replace
 from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 
-SLOPE = Parameter(
-    "swe_loss_per_mm",
-    null=0.0,
-    start=0.005,
-    low=-0.03,
-    high=0.03,
-    typical=0.01,
-    prior="0 to 3 % per mm",
-    reported="beta_per_mm",
-)
+SLOPE = Parameter("swe_loss_per_mm", null=0.0, start=0.005, low=-0.03, high=0.03, typical=0.01,
+                  prior="0 to 3 % per mm", reported="beta_per_mm")  # fmt: skip
 READS_RIGHT = Parameter.of_shape("swe_reads_right_at_mm", 13.5, 0.0, 27.0, "within the depths of a map")
 
 
@@ -42,5 +34,4 @@ EFFECT = Effect(
     parameters=(SLOPE, READS_RIGHT),
     needs=("map",),
     observe=observe,
-    tell_tale="a gradient with depth below the face that is the same at all loads",
 )

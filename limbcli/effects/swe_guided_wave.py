@@ -10,10 +10,8 @@ Source: Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
-from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.effects.reading import Reading
+from limbcli.effects.effect import Effect, Parameter, adds_to
 
 
 def cut_off_hz(guided: float, c_kpa: float) -> float:
@@ -21,22 +19,8 @@ def cut_off_hz(guided: float, c_kpa: float) -> float:
     return 100.0 / math.sqrt(guided) if guided > 0 else math.inf
 
 
-GUIDED = Parameter(
-    "guided_1e4_per_hz2",
-    null=0.0,
-    start=0.1,
-    low=0.0,
-    high=4.0,
-    typical=0.25,
-    prior="f 50 to 500 Hz: 4 to 0.04",
-    reported="f_c_hz",
-    turn=cut_off_hz,
-)
-
-
-def observe(reading: Reading, theta: Theta) -> Reading:
-    return replace(reading, guided=reading.guided + theta[GUIDED.name])
-
+GUIDED = Parameter("guided_1e4_per_hz2", null=0.0, start=0.1, low=0.0, high=4.0, typical=0.25,
+                   prior="f 50 to 500 Hz: 4 to 0.04", reported="f_c_hz", turn=cut_off_hz)  # fmt: skip
 
 EFFECT = Effect(
     name="swe-guided-wave",
@@ -45,6 +29,5 @@ EFFECT = Effect(
     source="Graff 1975, Wave Motion in Elastic Solids, chapter 8 (cut-off of a layer with held faces)",
     parameters=(GUIDED,),
     needs=("swe", "bone"),
-    observe=observe,
-    tell_tale="extra rise of the speed at large load, more at thin sites",
+    observe=adds_to("guided", GUIDED),
 )

@@ -15,16 +15,8 @@ import numpy as np
 from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 
-SCALE = Parameter(
-    "swe_modulus_scale",
-    null=1.0,
-    start=0.8,
-    low=0.1,
-    high=1.2,
-    typical=0.7,
-    prior="dispersion of muscle: 0.5 to 1",
-    reported="s_t",
-)
+SCALE = Parameter("swe_modulus_scale", null=1.0, start=0.8, low=0.1, high=1.2, typical=0.7,
+                  prior="dispersion of muscle: 0.5 to 1", reported="s_t")  # fmt: skip
 
 
 def observe(reading: Reading, theta: Theta) -> Reading:
@@ -40,5 +32,4 @@ EFFECT = Effect(
     parameters=(SCALE,),
     needs=("force", "swe"),
     observe=observe,
-    tell_tale="force and speeds require different c, the shape of speed over depth fits",
 )

@@ -40,5 +40,4 @@ EFFECT = Effect(
     apply=apply,
     solves=True,
     new_mesh=True,
-    tell_tale="the skin-bone distance on the first B-mode frame differs from the model's",
 )

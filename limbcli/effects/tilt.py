@@ -85,5 +85,4 @@ EFFECT = Effect(
     solves=True,
     new_mesh=True,
     each_time=True,
-    tell_tale="soft at first touch; speeds differ left and right",
 )

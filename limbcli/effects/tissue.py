@@ -151,19 +151,13 @@ def thickness(model: LimbModel) -> float:
     if surface is None:
         nodes = model.mesh.node_sets.get("fixed")
         return float("nan") if nodes is None or not len(nodes) else float(-model.mesh.points[nodes, 2].min())
-    best = float("nan")
-    for facets in surface.facets.values():
-        a, b, c = (model.mesh.points[facets[:, k]] for k in range(3))
-        e1, e2 = (b - a)[:, :2], (c - a)[:, :2]
-        det = e1[:, 0] * e2[:, 1] - e1[:, 1] * e2[:, 0]
-        ok = np.abs(det) > 1e-12
-        safe = np.where(ok, det, 1.0)
-        p = -a[:, :2]
-        s = (p[:, 0] * e2[:, 1] - p[:, 1] * e2[:, 0]) / safe
-        t = (e1[:, 0] * p[:, 1] - e1[:, 1] * p[:, 0]) / safe
-        z = a[:, 2] + s * (b - a)[:, 2] + t * (c - a)[:, 2]
-        hit = ok & (s >= 0) & (t >= 0) & (s + t <= 1) & (z < 0)
-        if hit.any():
-            nearest = float(-z[hit].max())
-            best = nearest if np.isnan(best) else min(best, nearest)
-    return best
+    corners = np.concatenate([np.zeros((0, 3), np.int64), *(each[:, :3] for each in surface.facets.values())])
+    a, b, c = model.mesh.points[corners.T]
+    (x1, y1, z1), (x2, y2, z2), (x, y, _) = (b - a).T, (c - a).T, -a.T
+    det = x1 * y2 - y1 * x2
+    seen = np.abs(det) > 1e-12
+    safe = np.where(seen, det, 1.0)
+    s, t = (x * y2 - y * x2) / safe, (x1 * y - y1 * x) / safe
+    z = a[:, 2] + s * z1 + t * z2
+    hit = seen & (s >= 0) & (t >= 0) & (s + t <= 1) & (z < 0)
+    return float(-z[hit].max()) if hit.any() else float("nan")

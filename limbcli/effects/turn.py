@@ -28,5 +28,4 @@ TURN = Effect(
     parameters=(ABOUT_BEAM,),
     apply=apply,
     solves=True,
-    tell_tale="force changes where a bone is near the end of the face",
 )

@@ -69,5 +69,4 @@ EFFECT = Effect(
     apply=apply,
     observe=observe,
     grid=tuple({TAU: time} for time in _SECOND_TIME),
-    tell_tale="decay in every hold; loading and unloading differ",
 )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -12,21 +12,13 @@ from scipy.io import savemat
 
 from limbcli.feb.write import render
 from limbcli.files.plain_text import write_rows
-from limbcli.model import Array, ElementMap, LimbModel, Material
+from limbcli.model import ElementMap, LimbModel, Material
 from limbcli.results import StageWriter
 from limbcli.site_model.indentation_model import TISSUE
 
 PARAMETER_COLUMNS = (
-    "site",
-    "step",
-    "parameter",
-    "value",
-    "standard_error",
-    "low_95",
-    "high_95",
-    "flag",
-    "words",
-)
+    "site", "step", "parameter", "value", "standard_error", "low_95", "high_95", "flag", "words",
+)  # fmt: skip
 _LONGEST = 63  # greatest number of characters of a MATLAB field name
 
 
@@ -50,9 +42,7 @@ def parameter_rows(site: str, step: str, parameters: Mapping[str, Mapping[str, A
 
 def write_parameters(path: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Write one row for each parameter; an empty interval bound means that the interval is open there."""
-    write_rows(
-        path, PARAMETER_COLUMNS, ([_cell(row.get(name)) for name in PARAMETER_COLUMNS] for row in rows)
-    )
+    write_table(path, {name: [row.get(name) for row in rows] for name in PARAMETER_COLUMNS})
 
 
 def _cell(value: object) -> object:
@@ -121,10 +111,6 @@ def material_snippet(model: LimbModel) -> str:
     return f"<!-- limbcli: identified tissue, mm-N-s (MPa){maps} -->\n{found.group(0)}\n"
 
 
-def write_table(path: Path, columns: Mapping[str, Array | Sequence[object]]) -> None:
+def write_table(path: Path, columns: Mapping[str, Iterable[object]]) -> None:
     """Write columns of equal length to a CSV file."""
-    rows = zip(*columns.values(), strict=True)
-    write_rows(
-        path, columns,
-        ([_cell(float(each) if isinstance(each, np.floating) else each) for each in row] for row in rows),
-    )  # fmt: skip
+    write_rows(path, columns, (map(_cell, row) for row in zip(*columns.values(), strict=True)))

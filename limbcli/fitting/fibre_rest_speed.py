@@ -27,11 +27,10 @@ def rest_speed(model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: fl
     Raises MeasurementError if the window contains no tissue.
     """
     items = next(each.items for each in model.records if each.kind == "element")
-    cells = np.concatenate([block.cells[:, :4] for block in model.mesh.solid_blocks])
-    numbers = np.arange(len(cells)) if items is None else np.asarray(items, dtype=np.int64)
-    solid = np.concatenate([np.full(len(b.cells), b.is_solid) for b in model.mesh.blocks])
-    place = np.cumsum(solid) - 1
-    rest = model.mesh.points[cells[place[numbers]]].mean(axis=1)
+    blocks, points = model.mesh.blocks, model.mesh.points
+    solid = np.flatnonzero(np.concatenate([np.full(len(each.cells), each.is_solid) for each in blocks]))
+    numbers = solid if items is None else np.asarray(items, dtype=np.int64)
+    rest = np.concatenate([points[each.cells[:, :4]].mean(axis=1) for each in blocks])[numbers]
     averages = pixel_averages(rest, MEAN_WINDOW.pixels(), face_height=0.0, window=MEAN_WINDOW)
     if not averages.inside.any():
         raise MeasurementError(
@@ -65,12 +64,9 @@ def _tensors_at_rest(model: LimbModel, law: FitLaw, items: IntArray, c: float) -
     Q is the sum of the first, fibre_shear times the second and fibre_tension times the third.
     items : solid cells, numbered over all blocks
     """
-    first, n_cells = 0, 0
-    for block in model.mesh.blocks:
-        if block.name == next(each.block for each in model.domains if each.material == TISSUE):
-            n_cells = len(block.cells)
-            break
-        first += len(block.cells)
+    names, counts = zip(*((each.name, len(each.cells)) for each in model.mesh.blocks), strict=True)
+    place = names.index(next(each.block for each in model.domains if each.material == TISSUE))
+    first, n_cells = sum(counts[:place]), counts[place]
     cells, F = items - first, np.broadcast_to(np.eye(3), (len(items), 3, 3))
     m = law.shape[0].start
 

@@ -9,7 +9,7 @@ from limbcli.case import Site
 from limbcli.feb.settings import schedule
 from limbcli.measurement.cycle_changes import change_text
 from limbcli.measurement.indentation import Levels
-from limbcli.measurement.repeated_loading import CycleStudy, Difference
+from limbcli.measurement.repeated_loading import Difference
 from limbcli.model import LimbModel
 from limbcli.results import StageWriter
 from limbcli.site_model.indentation_model import PROBE, start_at, starting_depth
@@ -46,14 +46,15 @@ def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str =
         return
     number = int(levels.cycle[0])
     study = cycles_of(site, every)
-    against = study.contradicting(number)
+    against, energy = study.contradicting(number), study.energy.get(number)
     content: dict[str, Any] = {
         "fitted": number,
         "of": len(every.cycles),
         "zero_depth_mm": levels.zero_depth,
         "repeats_from": study.repeats_from,
         "contradicted_by": against[0].later if against else None,
-        **_energy(study, number),
+        "energy_lost_n_mm": energy.lost if energy else None,
+        "energy_lost_fraction": energy.share if energy else None,
     }
     if label:
         writer.data.setdefault("cycle", {})[label] = content
@@ -82,13 +83,5 @@ def contradiction(difference: Difference) -> str:
         f"cycle {difference.later} contradicts the fitted cycle {difference.earlier}: at "
         f"{difference.force[k]:.3g} N its depth is {difference.depth[k]:+.2f} mm off (probability "
         f"under noise {difference.p_value:.1g}); {change_text(difference)}. The fit is of tissue that was "
-        f"not yet "
-        "preconditioned: --cycle last"
+        "not yet preconditioned: --cycle last"
     )
-
-
-def _energy(study: CycleStudy, number: int) -> dict[str, Any]:
-    found = study.energy.get(number)
-    if found is None:
-        return {"energy_lost_n_mm": None, "energy_lost_fraction": None}
-    return {"energy_lost_n_mm": found.lost, "energy_lost_fraction": found.share}

@@ -29,7 +29,7 @@ class FittedStates:
     @property
     def stretch_values(self) -> Array:
         """The plan's parameters (n,) at the best fit."""
-        return self.problem.stretch_values(self.found.best)
+        return self.found.best[1 + self.problem.n_shape : len(self.found.profiles)]
 
     def given(self, way: str) -> list[float | None]:
         """The stretches that the case gives for the states."""

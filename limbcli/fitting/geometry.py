@@ -21,7 +21,7 @@ from limbcli.errors import LimbError
 from limbcli.fitting.geometry_variations import Variation, depth_deviation, shaped, variations
 from limbcli.fitting.table import NAMES, Identified, inside
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts, total_share
+from limbcli.inference.geometry_uncertainty import ends, shifts, total_share
 from limbcli.inference.two_step_fit import sensitivities
 from limbcli.meshing.rods import Rod
 from limbcli.model import Array, LimbModel
@@ -42,19 +42,14 @@ _TOLERANCE = 1e-4
 class Varied:
     """A variation and ln of the force ratio that it causes at the model's levels (n_levels,).
 
-    part : share of the variation that the cells could take; why_not : reason in words if it was not solved
+    part : share of the variation that the cells could take; why_not : reason in words if it was not solved,
+        and log_force NaN
     """
 
     variation: Variation
-    log_force: Array | None
+    log_force: Array
     part: float = 1.0
     why_not: str = ""
-
-    @property
-    def known(self) -> Array:
-        """ln of the force ratio (n_levels,) of a variation that was solved."""
-        assert self.log_force is not None
-        return self.log_force
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,12 +63,12 @@ class GeometryUncertainty:
 
     @property
     def done(self) -> tuple[Varied, ...]:
-        return tuple(each for each in self.varied if each.log_force is not None)
+        return tuple(each for each in self.varied if np.isfinite(each.log_force).all())
 
     @property
     def modes(self) -> Array:
         """Changes of ln force (n_modes, n_levels), one standard deviation each."""
-        return np.array([np.sqrt(w) * each.known for w, each in zip(self.weights, self.done, strict=True)])
+        return np.sqrt(self.weights)[:, None] * np.array([each.log_force for each in self.done])
 
     @property
     def weights(self) -> Array:
@@ -116,7 +111,7 @@ def site_geometry_uncertainty(
     ]}  # fmt: skip
     writer.file("geometry", FILE).write_text(json.dumps(plain(content), indent=1), encoding="utf-8")
     for each in found.varied:
-        if each.log_force is None:
+        if each not in found.done:
             writer.warnings.append(f"{each.variation.words} was not evaluated: {each.why_not}")
     return found if found.done else None
 
@@ -154,7 +149,8 @@ def _solve_all(
             change = np.log(np.maximum(solved, 1e-9) / np.maximum(forces, 1e-9)) / part
             found.append(Varied(each, np.asarray(change), part))
         except (LimbError, ArithmeticError) as error:
-            found.append(Varied(each, None, why_not=str(getattr(error, "what", error))))
+            unknown = np.full(len(forces), np.nan)
+            found.append(Varied(each, unknown, why_not=str(getattr(error, "what", error))))
     if before is not None:
         before.close()
     return GeometryUncertainty("", tuple(found), len(todo), time.perf_counter() - clock)
@@ -167,12 +163,7 @@ def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryUn
         if content["key"] != key:
             return None
         varied = [
-            Varied(
-                each,
-                None if row["log_force"] is None else np.array(row["log_force"]),
-                row["part"],
-                row["why_not"],
-            )
+            Varied(each, np.array(row["log_force"], dtype=float), row["part"], row["why_not"])
             for each, row in zip(todo, content["varied"], strict=True)
         ]
         return GeometryUncertainty("", tuple(varied), 0, float(content["seconds"]))
@@ -190,15 +181,12 @@ def write_geometry(
     rows = _rows(found, uncertainty)
     share = total_share(list(uncertainty.modes))
     reported: dict[str, Any] = {
-        "words": uncertainty.words,
-        "gain_fraction": share,
-        "variations": rows,
-        "n_solves": uncertainty.n_solves,
-        "seconds": uncertainty.seconds,
+        "words": uncertainty.words, "gain_fraction": share, "variations": rows,
+        "n_solves": uncertainty.n_solves, "seconds": uncertainty.seconds,
         "interval_95_noise": ends(of_noise) if of_noise is not None else {},
         "interval_95": ends(found.intervals[-1]) if found.intervals else {},
         "standard_error_fraction": _deviations(rows, uncertainty),
-    }
+    }  # fmt: skip
     writer.data["geometry_uncertainty"] = reported
     if uncertainty.words not in writer.warnings:
         writer.warnings.insert(0, uncertainty.words)
@@ -211,18 +199,15 @@ def write_geometry(
 def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str, Any]]:
     step = found.steps[-1]
     answer = sensitivities(found, step.theta)
-    assert answer.jacobian is not None
     free = inside(step)
-    depth = found.data.depth[found.data.loaded]
     moved = np.full((len(uncertainty.done), len(NAMES)), np.nan)
     if free:
-        change = np.array([each.known for each in uncertainty.done])
-        newtons = answer.values[:, None] * at_depths(change, found.knots, depth)
-        moved[:, free] = shifts(answer.jacobian[:, free], newtons)
+        change = np.array([each.log_force for each in uncertainty.done])
+        moved[:, free] = shifts(answer.slopes[:, free], found.moved(step.theta, change))
     return [
         {
             "kind": each.variation.kind, "words": each.variation.words, "part": each.part,
-            "weight": weight, "force_change_fraction": np.expm1(each.known),
+            "weight": weight, "force_change_fraction": np.expm1(each.log_force),
             "log_shift": dict(zip(NAMES, row, strict=True)),
         }
         for each, weight, row in zip(uncertainty.done, uncertainty.weights, moved, strict=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -33,7 +33,7 @@ _SYMBOLS = {"f_kappa": r"$f_\kappa$"}
 
 
 def draw_joint(
-    sites: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction], found: Intervals,
+    sites: Sequence[SiteMeasurement], predicted: Sequence[SitePrediction], found: Intervals,
     writer: StageWriter, *, file: str = "fit-joint.png", of: str = "site",
 ) -> None:  # fmt: skip
     """Draw fit-joint.png and profiles.png; `of`: what a row of panels represents ("site" or "state")."""
@@ -41,8 +41,7 @@ def draw_joint(
         layered = any(len(each.layers) for each in sites)
         figure = new_figure(10.4 if layered else 7.6, 3.0 * len(sites))
         panels = figure.subplots(len(sites), 3 if layered else 2, squeeze=False)
-        for k, (data, (left, right, *more)) in enumerate(zip(sites, panels, strict=True)):
-            seen = predict(k)
+        for data, seen, (left, right, *more) in zip(sites, predicted, panels, strict=True):
             order = np.argsort(data.force)
             left.errorbar(
                 data.depth, data.force, xerr=data.depth_deviation, yerr=data.force_deviation,

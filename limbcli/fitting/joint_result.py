@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -15,10 +15,9 @@ from limbcli.fitting.joint_picture import draw_joint
 from limbcli.fitting.laws import FIBRE_F_KAPPA, LOCKING, FitLaw
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import chi_square_agreement
-from limbcli.inference.identifiability import Verdict, are_determined, correlation, verdict
+from limbcli.inference.identifiability import are_determined, correlation, verdict
 from limbcli.inference.joint_fit import JointProblem, JointTask, held_out_error
 from limbcli.inference.likelihood import Likelihood
-from limbcli.inference.parameter import FitParameter
 from limbcli.inference.site_depth import SiteMeasurement, SitePrediction
 from limbcli.measurement.levels import LAYERS
 from limbcli.model import LimbModel
@@ -30,13 +29,9 @@ from limbcli.results import StageWriter
 
 
 def write_joint(
-    writer: StageWriter,
-    measured: Sequence[tuple[str, LimbModel]],
-    law: FitLaw,
-    problem: JointProblem,
-    found: Intervals,
-    n_solves: int,
-) -> None:
+    writer: StageWriter, measured: Sequence[tuple[str, LimbModel]], law: FitLaw, problem: JointProblem,
+    found: Intervals, n_solves: int,
+) -> None:  # fmt: skip
     """Write fit-joint.json, the levels of each site, exports and figures; `measured`: (site name, model)."""
     parameters = parameter_table(problem, found)
     judge_given_c(parameters["c_kpa"], problem.task, found.scale)
@@ -52,9 +47,10 @@ def write_joint(
         gains=gains, gain_deviations={each.name: each.gain_deviation for each in problem.task.data},
     )  # fmt: skip
     rows = parameter_rows("+".join(writer.data["sites"]), law.name, parameters)
-    write_level_table(writer, problem.task.data, lambda k: problem.predict(k, found.best))
+    seen = [each.predict(found.best) for each in problem.blocks]
+    write_level_table(writer, problem.task.data, seen)
     write_exports(writer, rows, fitted)
-    draw_joint(problem.task.data, lambda k: problem.predict(k, found.best), found, writer)
+    draw_joint(problem.task.data, seen, found, writer)
     notes = write_moduli(values["c_kpa"], values["fibre_shear"], writer) if law.has_fibres else []
     n_layers = sum(len(each.layers) for each in problem.task.data)
     writer.data["n_layer_readings"] = n_layers
@@ -74,9 +70,14 @@ def write_numbers(
         flags={name: each["flag"] for name, each in parameters.items()},
         interval_95={name: [each["low"], each["high"]] for name, each in parameters.items()},
         chi_square=found.chi_square, n_freedom=found.n_freedom, noise_scale=float(np.sqrt(found.scale)),
-        element="+".join(sorted({block.kind for each in models for block in each.mesh.solid_blocks})),
+        element=elements_of(models),
         n_solves=n_solves, solver="reference",
     )  # fmt: skip
+
+
+def elements_of(models: Sequence[LimbModel]) -> str:
+    """The kinds of solid elements in these models, joined by "+"."""
+    return "+".join(sorted({block.kind for each in models for block in each.mesh.solid_blocks}))
 
 
 def report_fit(
@@ -97,16 +98,15 @@ def report_fit(
 def _warn_poor(found: Intervals, writer: StageWriter) -> None:
     """Write `agreement`; a bad one is also the first warning."""
     met = chi_square_agreement(found.chi_square, found.n_freedom)
-    writer.data["agreement"] = met.to_json()
+    writer.data["agreement"] = vars(met)
     writer.summary.insert(0, f"{met.state}: {met.words}")
     if met.state != "bad":
         return
     writer.warnings.insert(
         0,
         f"the fit does not reproduce the data: chi-square {found.chi_square:.0f} for {found.n_freedom} "
-        f"degrees of "
-        f"freedom (probability {met.chance:.1g} under the stated noise). The parameters describe the nearest "
-        "curves, not the tissue: check the figures, the noise of the case, and what `limbcli "
+        f"degrees of freedom (probability {met.chance:.1g} under the stated noise). The parameters describe "
+        "the nearest curves, not the tissue: check the figures, the noise of the case, and what `limbcli "
         "diagnose` finds missing",
     )
 
@@ -138,11 +138,11 @@ def parameter_table(problem: Likelihood, found: Intervals) -> dict[str, dict[str
         profile, value = found.profiles[parameter.name], float(found.best[k])
         others = [(problem.parameters[j].name, float(rho[k, j])) for j in range(n) if j != k]
         unit, named = (kpa_from_mpa(1.0), "kPa") if k == 0 else (1.0, "")
-        own, seen = (
-            _in_unit(parameter, unit),
-            replace(profile, low=unit * profile.low, high=unit * profile.high),
+        own = replace(
+            parameter, start=unit * parameter.start, low=unit * parameter.low, high=unit * parameter.high
         )
-        spoken: Verdict = verdict(own, unit * value, seen, influence=True, correlations=others, unit=named)
+        seen = replace(profile, low=unit * profile.low, high=unit * profile.high)
+        spoken = verdict(own, unit * value, seen, influence=True, correlations=others, unit=named)
         low, high = seen.limits
         table["c_kpa" if k == 0 else parameter.name] = {
             "value": unit * value,
@@ -166,19 +166,11 @@ def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
     c["headline"] = str(headline(c["value"], c["low"], c["high"], c["flag"], unit="kPa"))
 
 
-def _in_unit(parameter: FitParameter, unit: float) -> FitParameter:
-    """The parameter with its values multiplied by `unit`."""
-    return replace(
-        parameter, start=unit * parameter.start, low=unit * parameter.low, high=unit * parameter.high
-    )
-
-
 def write_level_table(
-    writer: StageWriter, several: Sequence[SiteMeasurement], predict: Callable[[int], SitePrediction]
+    writer: StageWriter, several: Sequence[SiteMeasurement], predicted: Sequence[SitePrediction]
 ) -> None:
     """Write levels-<site>.csv: measured and predicted depths, speeds and layers at each force."""
-    for k, data in enumerate(several):
-        seen = predict(k)
+    for data, seen in zip(several, predicted, strict=True):
         quantity = ["depth_mm"] * len(data.force) + ["speed_m_per_s"] * len(data.log_speed)
         quantity += [f"{LAYERS[j]}_mm" for j in data.layers.layer]
         write_table(
@@ -210,7 +202,7 @@ def write_comparison(writer: StageWriter, table: list[dict[str, Any]]) -> None:
     writer.data["laws"] = table
     writer.data["best_law"] = table[0]["law"]
     columns = [key for key in table[0] if key != "shape"]
-    cells = {key: [row[key] if row[key] is not None else "" for row in table] for key in columns}
+    cells = {key: [row[key] for row in table] for key in columns}
     cells["shape"] = [
         "; ".join(f"{name} {value:.4g}" for name, value in row["shape"].items()) for row in table
     ]

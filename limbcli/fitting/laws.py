@@ -27,9 +27,8 @@ LOCKING = (  # one sentence for every kind of fit, so that a page tells it once
     "linear tetrahedra lock: f_kappa is a property of this mesh as much as of the tissue, and its interval "
     "is valid for this mesh only; tet10 elements do not lock (fit --compare-element shows both)"
 )
-FIBRE_F_KAPPA = (
-    100.0  # held fixed: quadratic elements do not determine it (forces change by 1 to 3 % above 50)
-)
+# Held fixed: quadratic elements do not determine it (forces change by 1 to 3 % above 50).
+FIBRE_F_KAPPA = 100.0
 
 
 @dataclass(frozen=True)

@@ -51,14 +51,11 @@ def write_layers(
         writer.warnings.append(f"no layers could be predicted: {error.what}")
         return
     k = found.levels
-    columns: dict[str, object] = {
-        "level": levels.rows[k].tolist(), "force_n": levels.force[k], "depth_mm": levels.depth[k],
-    }  # fmt: skip
+    columns = {"level": levels.rows[k], "force_n": levels.force[k], "depth_mm": levels.depth[k]}
     for j, name in enumerate(layers.names):
-        read = layers.thickness[k, j]
-        columns[f"{name}_measured_mm"] = [float(each) if np.isfinite(each) else "" for each in read]
+        columns[f"{name}_measured_mm"] = layers.thickness[k, j]
         columns[f"{name}_predicted_mm"] = found.thickness[:, j]
-    write_table(writer.file("layers", "layers.csv"), columns)  # type: ignore[arg-type]
+    write_table(writer.file("layers", "layers.csv"), columns)
     picture = layers_figure(
         levels.force[k], layers.names, layers.thickness[k], found.thickness, layers.deviation
     )
@@ -152,15 +149,8 @@ def layers_figure(
                 color=INK, label="borders, measured (±1 SD)" if j == 0 else None,
             )  # fmt: skip
             gap = measured[:, j] - predicted[:, j]
-            right.plot(
-                force,
-                gap,
-                f"{MARKERS[j]}-",
-                ms=5,
-                color=colour,
-                mec=INK,
-                label=name if np.isfinite(gap).any() else None,
-            )
+            label = name if np.isfinite(gap).any() else None
+            right.plot(force, gap, f"{MARKERS[j]}-", ms=5, color=colour, mec=INK, label=label)
         left.invert_yaxis()
         left.grid(False)
         left.set(xlabel="probe force [N]", ylabel="below the probe [mm]", title="layers, level by level")

@@ -20,9 +20,8 @@ from limbcli.inference.derived import (
 from limbcli.inference.states_fit import StatesProblem
 from limbcli.model import Array
 
-_GRID = np.linspace(
-    np.log(0.35), np.log(1.8), 241
-)  # the minimum of the law's curve may lie outside the range of the states
+# The minimum of the law's curve may lie outside the range of the states.
+_GRID = np.linspace(np.log(0.35), np.log(1.8), 241)
 _PACE = 0.04  # step in ln stretch of the search for the ends of an interval
 _AT_END = 0.01
 
@@ -32,8 +31,7 @@ class LeastStiffness:
     """The minimum of the speed at rest in one direction (`way`).
 
     by_law : ln stretch at the minimum of the law's curve, with its interval, on the case's scale if the case
-        gives stretches; of_states : the same by a parabola through the states, None if fewer than three
-        states give different stretches
+        gives stretches; of_states : the same by a parabola through the states that give stretches
     counted : scale of the stretches, "case" or "unloaded" (relative to the unloaded length)
     measured : ln of the least and greatest stretch of the states, at the best fit
     """
@@ -41,7 +39,7 @@ class LeastStiffness:
     way: str
     counted: str
     by_law: DerivedInterval
-    of_states: LowestPoint | None
+    of_states: LowestPoint
     measured: tuple[float, float]
 
     @property
@@ -55,11 +53,8 @@ class LeastStiffness:
 
     def words(self) -> str:
         """The result in one sentence, including whether the data determine it."""
-        frame = (
-            "on the stretch scale of the case"
-            if self.counted == "case"
-            else "of the unloaded tissue's length"
-        )
+        in_case = self.counted == "case"
+        frame = "on the stretch scale of the case" if in_case else "of the unloaded tissue's length"
         if not self.is_determined:
             return (
                 f"{self.way} the limb, these data do not determine the state of least stiffness: "
@@ -85,22 +80,15 @@ class LeastStiffness:
     def to_json(self) -> dict[str, Any]:
         """stretch, low, high (dimensionless); an open end of the interval is null."""
         law, states = self.by_law, self.of_states
-        of_states: dict[str, Any] = {"stretch": None, "low": None, "high": None, "told": False}
-        if states is not None:
-            values = (
-                None if each is None else float(np.exp(each)) for each in (states.at, states.low, states.high)
-            )
-            of_states = {
-                **dict(zip(("stretch", "low", "high"), values, strict=True)),
-                "told": states.has_curvature,
-            }
+        ends = {"stretch": states.at, "low": states.low, "high": states.high}
+        of_states = {name: None if each is None else float(np.exp(each)) for name, each in ends.items()}
         return {
             "stretch": float(np.exp(law.value)),
             "low": None if law.open_low else float(np.exp(law.low)),
             "high": None if law.open_high else float(np.exp(law.high)),
             "told": self.is_determined, "beyond_measured_states": self.is_beyond,
-            "counted_from": self.counted,
-            "words": self.words(), "by_parabola_through_states": of_states,
+            "counted_from": self.counted, "words": self.words(),
+            "by_parabola_through_states": {**of_states, "told": states.has_curvature},
         }  # fmt: skip
 
 
@@ -143,14 +131,11 @@ def _of_way(fit: FittedStates, way: str, given: Sequence[float | None]) -> Least
     )
 
 
-def _of_states(problem: StatesProblem, given: Sequence[float | None]) -> LowestPoint | None:
-    rows = [k for k, each in enumerate(given) if each is not None]
-    if len({given[k] for k in rows}) < 3:
-        return None
-    several = [problem.task.states[k].data for k in rows]
-    at_rest = [int(np.argmin(each.speed_force)) for each in several]
+def _of_states(problem: StatesProblem, given: Sequence[float | None]) -> LowestPoint:
+    told = [(each, data) for each, data in zip(given, problem.task.data, strict=True) if each is not None]
+    at_rest = [(data, int(np.argmin(data.speed_force))) for _, data in told]
     return lowest_of_points(
-        np.log([float(given[k] or 1.0) for k in rows]),
-        np.array([each.log_speed[j] for each, j in zip(several, at_rest, strict=True)]),
-        np.array([each.speed_deviation[j] for each, j in zip(several, at_rest, strict=True)]),
+        np.log([each for each, _ in told]),
+        np.array([data.log_speed[j] for data, j in at_rest]),
+        np.array([data.speed_deviation[j] for data, j in at_rest]),
     )

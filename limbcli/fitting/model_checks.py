@@ -226,9 +226,8 @@ def moved_parameters(
     columns = list(free)
     places = match.data.depth[match.data.depth <= depths[len(ratio) - 1]]
     at = sampled(match.curve, match.knots, places, free=columns, fixed=theta)(theta[columns])
-    assert at.jacobian is not None
     times = np.interp(places, depths[: len(ratio)], ratio)
-    slopes = times[:, None] * at.jacobian * theta[columns]
+    slopes = times[:, None] * at.slopes * theta[columns]
     step = np.linalg.lstsq(slopes, at.values * (1.0 - times), rcond=None)[0]
     if np.abs(step).max() > np.log(_FAR):
         return {}

@@ -6,6 +6,7 @@ The fit uses only the speed at level 0; the others are predictions from the defo
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -132,23 +133,16 @@ def _measured_map(site: Site, levels: Levels, level: int, width: float, writer: 
 
 
 def _write_speed_table(found: Predicted, levels: Levels, writer: StageWriter) -> None:
-    def known(values: Array) -> list[object]:
-        return ["" if not np.isfinite(each) else float(each) for each in values[found.levels]]
-
-    write_table(
-        writer.file("swe", "swe.csv"),
-        {
-            "level": levels.rows[found.levels].tolist(),
-            "force_n": levels.force[found.levels],
-            "depth_mm": levels.depth[found.levels],
-            "simulated_force_n": found.force,
-            "measured_m_per_s": known(levels.swe_mean_m_per_s),
-            "measured_sd_m_per_s": known(levels.swe_sd_m_per_s),
-            "predicted_m_per_s": found.mean_m_per_s,
-            "predicted_sd_m_per_s": np.array([each.speed_m_per_s.std() for each in found.maps]),
-            "pixels": [len(each) for each in found.maps],
-        },
-    )
+    k = found.levels
+    columns: dict[str, Iterable[object]] = {
+        "level": levels.rows[k], "force_n": levels.force[k], "depth_mm": levels.depth[k],
+        "simulated_force_n": found.force,
+        "measured_m_per_s": levels.swe_mean_m_per_s[k], "measured_sd_m_per_s": levels.swe_sd_m_per_s[k],
+        "predicted_m_per_s": found.mean_m_per_s,
+        "predicted_sd_m_per_s": [float(each.speed_m_per_s.std()) for each in found.maps],
+        "pixels": [len(each) for each in found.maps],
+    }  # fmt: skip
+    write_table(writer.file("swe", "swe.csv"), columns)
 
 
 def _report(found: Predicted, levels: Levels, writer: StageWriter) -> None:

@@ -13,6 +13,7 @@ from limbcli.drawing import save_figure
 from limbcli.files.plain_text import write_rows
 from limbcli.fitting.exports import parameter_rows, write_exports
 from limbcli.fitting.joint_picture import draw_profiles
+from limbcli.fitting.joint_result import elements_of
 from limbcli.fitting.laws import LOCKING
 from limbcli.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
 from limbcli.inference.adaptive import Intervals
@@ -27,8 +28,6 @@ from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve,
 from limbcli.reporting.headline import headline
 from limbcli.results import StageWriter
 from limbcli.solvers.solver import Simulation
-
-__all__ = ["Identified", "draw_fit", "write_agreement", "write_curves", "write_result", "write_widening"]
 
 _FINE = 120
 _TOP = (
@@ -46,7 +45,7 @@ def write_result(
     last = tables[OGDEN]
     writer.data.update({key: last[key] for key in _TOP})
     writer.data.update(
-        law="ogden type", objective="force", element=_element(fitted),
+        law="ogden type", objective="force", element=elements_of([fitted]),
         solver=simulation.solver, solver_version=simulation.version,
         linear_solver=simulation.linear_solver, c_source=found.c_source,
         c_deviation_fraction=found.stiffness.log_deviation,
@@ -119,7 +118,7 @@ def write_curves(found: Identified, path: Path) -> None:
     depths = np.r_[measured, between]
     forces = [f"{each:.6g}" for each in found.data.force] + [""] * len(between)
     thetas = [found.start, *(step.theta for step in found.steps)]
-    curves = [found.simulated(theta, np.maximum(depths, 0.0)) for theta in thetas]
+    curves = [found.sample(theta, depths).values for theta in thetas]
     write_rows(
         path, ("depth_mm", "measured_n", "start_n", f"{MOONEY_RIVLIN}_n", f"{OGDEN}_n"),
         ([f"{depths[k]:.6g}", forces[k], *(f"{each[k]:.6g}" for each in curves)]
@@ -133,7 +132,7 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
     labels = ("start (f_κ = 100, m = 2)", "Mooney-Rivlin type (m = 2)", "Ogden type")
     thetas = [found.start, *(step.theta for step in found.steps)]
     curves = [
-        SimulatedCurve(key, label, depths, found.simulated(theta, depths))
+        SimulatedCurve(key, label, depths, found.sample(theta, depths).values)
         for key, label, theta in zip(("start", MOONEY_RIVLIN, OGDEN), labels, thetas, strict=True)
     ]
     loaded, last = found.data.loaded, found.steps[-1]
@@ -162,15 +161,14 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
     writer.data["agreement"] = {
         "state": met.state,
         "force": {
-            **met.to_json(),
-            "depths_mm": found.data.depth[loaded],
+            **vars(met), "depths_mm": found.data.depth[loaded],
             "counted_noise_n": counted_deviation(found, found.steps[-1]),
         },
-    }
+    }  # fmt: skip
     at_lower_bound = [name for name in NAMES if last["parameters"][name]["bound"] == "lower"]
     tissue = tissue_agreement(last["parameters"]["f_kappa"]["high"], at_lower_bound)
     if tissue is not None:
-        writer.data["agreement"]["tissue"] = tissue.to_json()
+        writer.data["agreement"]["tissue"] = vars(tissue)
         if tissue.state == "bad":
             writer.warnings.insert(0, f"poor fit: {tissue.words}")
     writer.summary.append(f"c = {last['c_kpa']:.2f} kPa, held fixed ({found.c_source})")
@@ -214,7 +212,7 @@ def write_agreement(found: Identified, writer: StageWriter) -> None:
             level_fraction=writer.data["noise"]["swe_level_fraction"],
             c_deviation=found.stiffness.force_deviation,
         )  # fmt: skip
-        told["speeds"] = met.to_json()
+        told["speeds"] = vars(met)
     parts = [told[name] for name in ("tissue", "force", "speeds") if name in told]
     parts.sort(key=lambda each: ORDER.index(each["state"]), reverse=True)
     told["state"] = parts[0]["state"]
@@ -243,7 +241,3 @@ def _estimated(name: str, estimate: Mapping[str, Any], *, computed: bool) -> str
         return f"{name} = {found}: {flag}"
     interval = "no interval" if None in (low, high) else f"95 %: {short(low)} to {short(high)}"
     return f"{name} = {found} ({interval}): {flag}"
-
-
-def _element(model: LimbModel) -> str:
-    return "+".join(sorted({block.kind for block in model.mesh.solid_blocks}))

@@ -65,10 +65,8 @@ class StateCurve:
         self._stretched = (TISSUE, *held_layers(model))
         self.law, self.c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
         self._even = law.along(_one_direction(model))
-        offsets = (
-            abs(self.axes.along[1]),
-            abs(self.axes.around[1]),
-        )  # offset of each stretch direction from the image's lateral axis
+        # of each stretch direction from the image's lateral axis
+        offsets = abs(self.axes.along[1]), abs(self.axes.around[1])
         self._aligned = int(np.argmin(offsets)) if min(offsets) < _ALIGNED else None
         self.n_shape, self.n_solves = len(law.shape), 0
         shape = np.array([each.start for each in law.shape])

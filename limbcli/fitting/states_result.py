@@ -55,12 +55,10 @@ def write_states(fit: FittedStates, model: LimbModel, writer: StageWriter) -> No
         gain=problem.gain(found.best), gain_deviation_fraction=problem.task.gain_deviation,
     )  # fmt: skip
     fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
-    several = [each.data for each in problem.task.states]
-    write_level_table(writer, several, lambda k: problem.predict(k, found.best))
+    seen = [each.predict(found.best) for each in problem.blocks]
+    write_level_table(writer, problem.task.data, seen)
     write_exports(writer, parameter_rows(fit.site.name, law.name, parameters), fitted)
-    draw_joint(
-        several, lambda k: problem.predict(k, found.best), found, writer, file="fit-states.png", of="state"
-    )
+    draw_joint(problem.task.data, seen, found, writer, file="fit-states.png", of="state")
     draw_states(fit, lowest, writer)
     _write_models(fit, model, writer)
     notes = [each.words() for each in lowest]
@@ -87,7 +85,7 @@ def _with_stretches_judged(table: dict[str, dict[str, Any]], plan: StretchPlan) 
 
 def _state(k: int, fit: FittedStates) -> dict[str, Any]:
     """One state: its given stretches, its elastic stretches with their intervals, its speed at rest."""
-    data, seen = fit.problem.task.states[k].data, fit.problem.predict(k, fit.found.best)
+    data, seen = fit.problem.task.data[k], fit.problem.blocks[k].predict(fit.found.best)
     out = {}
     for way in WAYS:
         low, high = fit.stretch_ends(k, way)
@@ -159,7 +157,7 @@ def _panel(each: LeastStiffness, fit: FittedStates) -> StatesPanel:
 
 def _reading(k: int, way: str, zero: float, fit: FittedStates) -> StateReading:
     """A state's point in the figure; a given stretch has no interval, as it is exact on the case's scale."""
-    data, given = fit.problem.task.states[k].data, fit.given(way)[k]
+    data, given = fit.problem.task.data[k], fit.given(way)[k]
     rest = int(np.argmin(data.speed_force))
     speed = float(np.exp(data.log_speed[rest]))
     if given is None:

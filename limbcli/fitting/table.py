@@ -15,13 +15,10 @@ from limbcli.inference.identifiability import (
     NoProfile,
     Verdict,
     correlation,
-    force_variance,
     has_influence,
     log_covariance,
     verdict,
 )
-from limbcli.inference.monotone_interpolation import pchip_sample
-from limbcli.inference.prediction import slopes_at
 from limbcli.inference.profile_intervals import Stiffness
 from limbcli.inference.two_step_fit import CurveMatch, FittedStep, sensitivities
 from limbcli.model import Array
@@ -56,11 +53,10 @@ class Identified(CurveMatch):
         """Numerical error of ln force at the step's parameters, one standard deviation."""
         if not self.gains:
             return self.stiffness.gain_deviation
-        return self.gains[next(k for k, each in enumerate(self.steps) if each is step)]
+        return self.gains[self.place(step)]
 
-    def simulated(self, theta: Array, depths: Array) -> Array:
-        values = self.curve(theta).values
-        return pchip_sample(np.r_[0.0, self.knots], np.r_[0.0, values], depths).values
+    def place(self, step: FittedStep) -> int:
+        return next(k for k, each in enumerate(self.steps) if each is step)
 
 
 def step_table(found: Identified, k: int) -> dict[str, Any]:
@@ -71,11 +67,7 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
     deviation = np.sqrt(np.diag(covariance))
     verdicts = _verdicts(found, k, covariance)
     values = {"c_kpa": kpa_from_mpa(c), "f_kappa": f_kappa, "m": m, "kappa_kpa": kpa_from_mpa(c * f_kappa)}
-    errors = {
-        "c_kpa": values["c_kpa"] * deviation[0],
-        "f_kappa": f_kappa * deviation[1],
-        "m": m * deviation[2],
-    }
+    errors = {name: values[name] * each for name, each in zip(("c_kpa", *NAMES), deviation, strict=True)}
     spread = covariance[0, 0] + covariance[1, 1] + 2 * covariance[0, 1]
     errors["kappa_kpa"] = values["kappa_kpa"] * float(np.sqrt(spread))
     intervals = _intervals(found, k, values["c_kpa"])
@@ -110,10 +102,9 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     If the data scatter more than their stated noise, the noise is scaled as for the intervals.
     """
     answer = sensitivities(found, step.theta)
-    assert answer.jacobian is not None
-    variance = _variance(found, step)
+    variance = found.variance(step.theta)
     free = inside(step)
-    columns = answer.jacobian[:, free]
+    columns = answer.slopes[:, free]
     sigma_c = found.stiffness.log_deviation
     by_c = answer.values * c_share(found)
     covariance = np.full((3, 3), np.nan)
@@ -127,7 +118,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     variance = variance * _noise_scale(found, step, columns, variance, held * deviations)
     block = log_covariance(columns, variance, nuisance=held, nuisance_deviation=deviations)
     if found.modes is not None:
-        moved = shifts(columns, _spread(found, step, found.modes))
+        moved = shifts(columns, found.moved(step.theta, found.modes))
         block = block + moved.T @ moved
     places = [1 + k for k in free]
     covariance[np.ix_(places, places)] = block
@@ -146,7 +137,7 @@ def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: 
     The residuals are compared with those expected of an unweighted fit from the noise and these errors.
     """
     if found.intervals:
-        return found.intervals[_place(found, step)].scale
+        return found.intervals[found.place(step)].scale
     left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)
     expected = np.diag(left @ (np.diag(variance) + held @ held.T) @ left.T)
     chi_square = np.sum(step.fit.residual[found.data.loaded] ** 2 / variance)
@@ -159,18 +150,11 @@ def c_share(found: Identified) -> Array:
     return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
 
 
-def _spread(found: Identified, step: FittedStep, modes: Array) -> Array:
-    """Change of force (n, n_modes), N, at the loaded levels by one standard deviation of each mode."""
-    answer = sensitivities(found, step.theta)
-    depth = found.data.depth[found.data.loaded]
-    return np.asarray(answer.values[:, None] * at_depths(modes, found.knots, depth))
-
-
 def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
     """FitAgreement of a step's curve with the measured forces, by the noise that the fit counted."""
     order = np.argsort(found.data.depth[found.data.loaded], kind="stable")
     residual = step.fit.residual[found.data.loaded][order]
-    intervals = found.intervals[_place(found, step)] if found.intervals else None
+    intervals = found.intervals[found.place(step)] if found.intervals else None
     return force_agreement(
         residual, counted_deviation(found, step)[order], step.r2, n_free=len(step.free),
         likelihood=(intervals.chi_square, intervals.n_freedom) if intervals else None,
@@ -179,18 +163,7 @@ def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
 
 def counted_deviation(found: Identified, step: FittedStep) -> Array:
     """Standard deviation of the force (n,), N, that the fit counted at the loaded levels."""
-    return np.sqrt(_variance(found, step))
-
-
-def _place(found: Identified, step: FittedStep) -> int:
-    return next(k for k, each in enumerate(found.steps) if each is step)
-
-
-def _variance(found: Identified, step: FittedStep) -> Array:
-    """Variance of the force residuals (n,), N^2."""
-    data = found.data
-    slope = slopes_at(found.curve, found.knots, data.depth[data.loaded], step.theta)
-    return force_variance(slope, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation)
+    return np.sqrt(found.variance(step.theta))
 
 
 def inside(step: FittedStep) -> list[int]:
@@ -202,8 +175,7 @@ def inside(step: FittedStep) -> list[int]:
 def _verdicts(found: Identified, k: int, covariance: Array) -> dict[str, Verdict]:
     step = found.steps[k]
     answer = sensitivities(found, step.theta)
-    assert answer.jacobian is not None
-    influence = has_influence(answer.jacobian, answer.values)
+    influence = has_influence(answer.slopes, answer.values)
     rho = np.nan_to_num(correlation(covariance))
     verdicts = {"c_kpa": Verdict(Flag.FIXED, f"c is held fixed: {found.c_source}.")}
     for parameter, index in zip(step.fit.parameters, step.free, strict=True):
@@ -253,10 +225,8 @@ def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
     limit = found.intervals[k].threshold
     return {
         name: {
-            "values": each.values,
-            "deviance": each.deviance,
-            "limit": limit,
+            "values": each.values, "deviance": each.deviance, "limit": limit,
             "extended_to_fit": each.ends_beyond(limit),
         }
         for name, each in found.intervals[k].profiles.items()
-    }
+    }  # fmt: skip

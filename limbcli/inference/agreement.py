@@ -11,7 +11,7 @@ that of the counted noise, and R2. Runs: the chance of so few changes of sign al
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -61,9 +61,6 @@ class FitAgreement:
     def times_noise(self) -> float:
         """RMS divided by the counted noise; NaN if none is counted."""
         return self.rms / self.noise_rms if self.rms is not None and self.noise_rms else float("nan")
-
-    def to_json(self) -> dict[str, Any]:
-        return asdict(self)
 
 
 def force_agreement(

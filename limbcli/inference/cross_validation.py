@@ -93,26 +93,24 @@ def predict_left_out(
 def springs_left_out(people: Array, thickness: Array, compliance: Array, *, seed: int = 7) -> Array:
     """Springs in series: compliance = a fat + b muscle, all sites together, by least squares on the same
     folds."""
-    fold = person_folds(people, FOLDS, seed)
-    predicted = np.empty(len(fold))
-    for k in range(FOLDS):
-        train = fold != k
-        found, *_ = np.linalg.lstsq(thickness[train], compliance[train], rcond=None)
-        predicted[~train] = thickness[~train] @ found
-    return predicted
+    return _left_out_by_group(people, np.zeros(len(people)), thickness, compliance, seed)
 
 
 def lines_left_out(
     people: Array, sites: Array, thickness: Array, compliance: Array, *, seed: int = 7
 ) -> Array:
     """Linear model of each site: compliance = a + b fat + c muscle, by least squares on the same folds."""
+    columns = np.column_stack([np.ones(len(people)), thickness])
+    return _left_out_by_group(people, sites.astype(str), columns, compliance, seed)
+
+
+def _left_out_by_group(people: Array, group: Array, columns: Array, compliance: Array, seed: int) -> Array:
+    """Compliance linear in the columns (n, k), with other coefficients in each group (n,)."""
     fold = person_folds(people, FOLDS, seed)
     predicted = np.empty(len(fold))
-    columns = np.column_stack([np.ones(len(fold)), thickness])
     for k in range(FOLDS):
-        for site in np.unique(sites.astype(str)):
-            here = sites.astype(str) == site
-            train, test = here & (fold != k), here & (fold == k)
+        for each in np.unique(group):
+            train, test = (group == each) & (fold != k), (group == each) & (fold == k)
             found, *_ = np.linalg.lstsq(columns[train], compliance[train], rcond=None)
             predicted[test] = columns[test] @ found
     return predicted
@@ -123,20 +121,17 @@ def _choose(
 ) -> tuple[float, float, bool]:
     """Hyperparameters with the smallest error in cross-validation within the training people."""
     inner = person_folds(people, INNER_FOLDS, seed)
-    best, least = (*_SHRINK[-1], True), np.inf
+    scores: dict[tuple[float, float, bool], float] = {}
     for (all_, site), use in itertools.product(_SHRINK, (True, False)):
-        choice = (all_, site, use)
-        missed: list[Array] = []
+        missed, choice = list[Array](), (all_, site, use)
         for k in range(INNER_FOLDS):
             kept, out = train & (inner != k), train & (inner == k)
             if not kept.any() or not out.any():
                 continue
             model = _Regression.fit(sites, features, compliance, slab, kept, choice)
             missed.append(percent_off(model(sites, features, slab)[out], compliance[out]))
-        score = float(np.concatenate(missed).mean())
-        if score < least:
-            best, least = choice, score
-    return best
+        scores[choice] = float(np.concatenate(missed).mean())
+    return min(scores, key=lambda each: scores[each])
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,15 +159,8 @@ class _Regression:
         a = model._design(sites[train], kept)
         target = np.log(compliance[train]) - with_slab * slab[train]
         n, k = len(target), features.shape[1]
-        penalty = (
-            np.r_[
-                0.0,
-                np.full(len(names), _INTERCEPT),
-                np.full(k, shrink_all),
-                np.full(k * len(names), shrink_site),
-            ]
-            / n
-        )
+        counts = 1, len(names), k, k * len(names)  # of the columns of the design
+        penalty = np.repeat([0.0, _INTERCEPT, shrink_all, shrink_site], counts) / n
         start = np.linalg.solve(a.T @ a / n + np.diag(penalty + 1e-9), a.T @ target / n)
 
         def cost(w: Array) -> tuple[float, Array]:

@@ -153,12 +153,6 @@ def lowest_of_points(x: Array, y: Array, deviation: Array) -> LowestPoint:
     if c <= _TWO_SIDED * np.sqrt(covariance[2, 2]):
         return nothing if c <= 0 else LowestPoint(float(-b / (2 * c)), None, None, False)
     # (b + 2 c x)^2 = z^2 (Vbb + 4 x Vbc + 4 x^2 Vcc), a quadratic in x
-    z2 = _TWO_SIDED**2
-    roots = np.roots(
-        [
-            4 * (c * c - z2 * covariance[2, 2]),
-            4 * (b * c - z2 * covariance[1, 2]),
-            b * b - z2 * covariance[1, 1],
-        ]
-    )
+    left = np.outer([b, c], [b, c]) - _TWO_SIDED**2 * covariance[1:, 1:]
+    roots = np.roots([4 * left[1, 1], 4 * left[0, 1], left[0, 0]])
     return LowestPoint(float(-b / (2 * c)), float(roots.real.min()), float(roots.real.max()), True)

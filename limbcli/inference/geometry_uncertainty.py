@@ -44,16 +44,10 @@ def no_narrower(wide: Intervals, narrow: Intervals) -> Intervals:
     curve that crosses the limit where its interval ends: that of the wider interval or, where each is wider
     on one side, the lower of the two curves.
     """
-    ratio = wide.threshold / narrow.threshold
-    profiles = {
-        name: _wider(each, _scaled(narrow.profiles[name], ratio)) for name, each in wide.profiles.items()
-    }
+    ratio = wide.threshold / narrow.threshold  # of the units of the deviances
+    scaled = {name: replace(each, deviance=each.deviance * ratio) for name, each in narrow.profiles.items()}
+    profiles = {name: _wider(each, scaled[name]) for name, each in wide.profiles.items()}
     return replace(wide, profiles=profiles)
-
-
-def _scaled(profile: Profile, ratio: float) -> Profile:
-    """The profile in units of another limit."""
-    return replace(profile, deviance=profile.deviance * ratio)
 
 
 def _wider(wide: Profile, narrow: Profile) -> Profile:

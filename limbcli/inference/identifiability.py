@@ -57,12 +57,9 @@ def are_determined(columns: Array) -> NDArray[np.bool_]:
 
 
 def log_covariance(
-    sensitivity: Array,
-    variance: Array,
-    *,
-    nuisance: Array | None = None,
+    sensitivity: Array, variance: Array, *, nuisance: Array | None = None,
     nuisance_deviation: float | Array = 0.0,
-) -> Array:
+) -> Array:  # fmt: skip
     """Covariance (p, p) of ln theta of an unweighted least-squares estimate.
 
     A V A' with A = (S'S)^-1 S' (the sandwich estimator: the fit weighs all residuals equally although their
@@ -128,14 +125,9 @@ class NoProfile:
 
 
 def verdict(
-    parameter: FitParameter,
-    value: float,
-    profile: Profile | NoProfile,
-    *,
-    influence: bool,
-    correlations: Sequence[tuple[str, float]] = (),
-    unit: str = "",
-) -> Verdict:
+    parameter: FitParameter, value: float, profile: Profile | NoProfile, *, influence: bool,
+    correlations: Sequence[tuple[str, float]] = (), unit: str = "",
+) -> Verdict:  # fmt: skip
     """Classification of a parameter, and the sentence that explains it, with numbers in `unit`.
 
     influence : whether the parameter changes the force at this value; even where it does not, other values
@@ -161,11 +153,8 @@ def verdict(
     wide = profile.is_open or profile.high / profile.low > _WEAK_RATIO
     partner = max(correlations, key=lambda each: abs(each[1]), default=("", 0.0))
     if wide and abs(partner[1]) > _TRADES_OFF:
-        text = (
-            f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data determine a "
-            f"combination"
-        )
-        return Verdict(f"{Flag.TRADES_OFF} {partner[0]}", f"{text} of the two; {excluded}.")
+        text = f"{name} trades off with {partner[0]} (correlation {partner[1]:+.2f}): the data determine a"
+        return Verdict(f"{Flag.TRADES_OFF} {partner[0]}", f"{text} combination of the two; {excluded}.")
     if profile.is_open:
         return Verdict(Flag.WEAK, f"{name} is not identifiable from these data: {excluded}.")
     if wide:

@@ -20,7 +20,7 @@ from limbcli.inference.likelihood import Likelihood, Place, SiteBlock
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import best_of
-from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, rest_speed_by_c
+from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, rest_speed_by_c
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -90,10 +90,6 @@ class JointProblem(Likelihood):
             profiled=range(n), priors=priors, n_shape=n - 1,
         )  # fmt: skip
 
-    def predict(self, k: int, theta: Array) -> SitePrediction:
-        """Prediction of site k at theta by the surrogates."""
-        return self.blocks[k].predict(theta)
-
 
 def joint_fit(
     task: JointTask, starts: Sequence[Array], *, max_solves: int = 16, progress: Progress = SILENT
@@ -133,7 +129,7 @@ def held_out_error(problem: JointProblem, found: Intervals) -> tuple[float, floa
         part = JointProblem(task, [found.best[: 1 + problem.n_shape]])
         best = best_of(part.objective(), part.parameters, [found.best, *part.starts()])
         for k, (data, out) in enumerate(zip(problem.task.data, left, strict=True)):
-            seen = problem.predict(k, best.theta)
+            seen = problem.blocks[k].predict(best.theta)
             depth_errors.append((data.depth - seen.depth)[out])
             gone = np.isin(data.speed_force, data.force[out])
             speed_errors.append((data.log_speed - seen.log_speed)[gone])

@@ -94,7 +94,7 @@ def _convexity(strain: Array, force: Array) -> Array:
     found = np.empty(len(strain))
     for k, end in enumerate(strain):
         at = np.linspace(0.0, end, 101)
-        values = curve(at)
+        values = curve.read(at).values
         slope = np.sum(values * at) / np.sum(at * at)
         found[k] = np.log(force[k] / slope)
     return found

@@ -54,15 +54,10 @@ class Fit:
 
 
 def least_squares_fit(
-    objective: Objective,
-    parameters: Sequence[FitParameter],
-    *,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-    must_settle: bool = True,
-    guide: Guide | None = None,
+    objective: Objective, parameters: Sequence[FitParameter], *, tolerance: float = 1e-3,
+    max_iterations: int = 50, must_settle: bool = True, guide: Guide | None = None,
     progress: Progress = SILENT,
-) -> Fit:
+) -> Fit:  # fmt: skip
     """Bounded least squares in the normalised parameters.
 
     A trial at which the model cannot be solved (SolveError) counts as worse, and so does, without a solve,
@@ -206,15 +201,13 @@ class _Search:
         return _REASONS.get(int(found.status), "no step lowers the cost")
 
     def finish(self, reason: str) -> Fit:
-        assert self.now.jacobian is not None
         return Fit(
-            self.parameters, self.theta, self.now.values, self.now.jacobian, self.now.cost,
+            self.parameters, self.theta, self.now.values, self.now.slopes, self.now.cost,
             len(self.history), reason, tuple(self.history),
         )  # fmt: skip
 
     def _jacobian(self) -> Array:
-        assert self.now.jacobian is not None
-        return self.now.jacobian * slopes(self.parameters, self.theta)
+        return self.now.slopes * slopes(self.parameters, self.theta)
 
     def _reach(self) -> tuple[Array, Array]:
         """The values that one step may reach."""

@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 
@@ -72,36 +71,33 @@ class Place:
         return float(found[0]), float(found[1]), found[2:]
 
 
-class DataBlock(Protocol):
-    """Data of one simulated curve; slopes are by ln theta."""
+class DataBlock:
+    """Data of one simulated curve; slopes are by ln theta. Its weights are fixed unless stated."""
 
-    @property
-    def emulator(self) -> Emulator: ...
-
-    @property
-    def place(self) -> Place: ...
-
-    @property
-    def n_data(self) -> int: ...
+    emulator: Emulator
+    place: Place
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
         """Values (n,) in standard deviations and slopes (n, n_theta)."""
-        ...
-
-    def changes(self, theta: Array) -> bool:
-        """Whether the weights of the residuals at this theta differ from those in use."""
-        ...
-
-    def weigh(self, theta: Array) -> None:
-        """Use the weights at this theta."""
-        ...
+        raise NotImplementedError
 
     def uncertainty(self, theta: Array) -> float:
         """Error of the surrogate at theta, in standard deviations of the data."""
-        ...
+        raise NotImplementedError
+
+    def changes(self, theta: Array) -> bool:
+        """Whether the weights of the residuals at this theta differ from those in use."""
+        return False
+
+    def weigh(self, theta: Array) -> None:
+        """Use the weights at this theta."""
+
+    def distance(self, theta: Array) -> float:
+        """From the nearest solved point of the curve, in ln of its parameters."""
+        return self.emulator.distance(self.place(theta)[2])
 
 
-class SiteBlock:
+class SiteBlock(DataBlock):
     """Depth at given force, wave speeds and layers of one site or state.
 
     log_speed_0 : of `predict_site`; it and the speeds of the curve are relative to `even_speed` where that is
@@ -114,7 +110,6 @@ class SiteBlock:
     ):  # fmt: skip
         self.data, self.emulator, self.place = data, emulator, place
         self.log_speed_0, self.even_speed = log_speed_0, even_speed
-        self.n_data = len(data.force) + len(data.log_speed) + len(data.layers)
 
     def weigh(self, theta: Array) -> None:
         self.weights = self._weights_at(theta)
@@ -129,23 +124,22 @@ class SiteBlock:
     def predict(self, theta: Array) -> SitePrediction:
         """Prediction by the surrogate; slopes by ln c, ln gain and ln of the curve's parameters."""
         c_ratio, gain, place = self.place(theta)
-        if self.even_speed is None:
-            return predict_site(
-                self.emulator, self.data, place, c_ratio=c_ratio, gain=gain, log_speed_0=self.log_speed_0
-            )
-        n, answer = len(self.data.knots), self.emulator(place)
-        assert answer.jacobian is not None
-        known = np.maximum(answer.values, _LEAST)  # far from solved points it may be anything
-        by_log = answer.jacobian * place / known[:, None]
-        even, even_by = self.even_speed(place)
-        speeds = known[n : 2 * n] * np.exp(even)
-        slopes = (by_log[n : 2 * n] + even_by) * speeds[:, None] / place
-        of_state = Prediction(np.concatenate([known[:n], speeds]), np.vstack([answer.jacobian[:n], slopes]))
-        rest = even + float(np.log(known[2 * n])), even_by + by_log[2 * n]
-        return predict_site(
-            lambda _theta, _wrt=(): of_state, self.data, place, c_ratio=c_ratio, gain=gain,
-            log_speed_0=lambda _shape: rest,
-        )  # fmt: skip
+        answer, rest = self.emulator(place), self.log_speed_0
+        if self.even_speed is not None:
+            answer, rest = self._with_even_speed(answer, place, self.even_speed(place))
+        return predict_site(answer, self.data, place, c_ratio=c_ratio, gain=gain, log_speed_0=rest)
+
+    def _with_even_speed(
+        self, answer: Prediction, place: Array, even: tuple[float, Array]
+    ) -> tuple[Prediction, RestSpeed]:
+        """Forces and speeds, and the speed at rest, of a curve whose speeds are relative to `even`."""
+        n, known = len(self.data.knots), np.maximum(answer.values, _LEAST)  # surrogates may give anything
+        by_log = answer.slopes * place / known[:, None]
+        speeds = known[n : 2 * n] * np.exp(even[0])
+        slopes = (by_log[n : 2 * n] + even[1]) * speeds[:, None] / place
+        rest = even[0] + float(np.log(known[2 * n])), even[1] + by_log[2 * n]
+        values, jacobian = np.concatenate([known[:n], speeds]), np.vstack([answer.slopes[:n], slopes])
+        return Prediction(values, jacobian), lambda _shape: rest
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
         data, found, weights = self.data, self.predict(theta), self.weights
@@ -178,7 +172,7 @@ class SiteBlock:
 
 
 @dataclass(frozen=True, eq=False)
-class ForceBlock:
+class ForceBlock(DataBlock):
     """Force (n,) N at given depth (n,) mm, simulated at `knots` (n_knots,) mm.
 
     covariance : (n, n) N^2; it stays as it is
@@ -193,28 +187,17 @@ class ForceBlock:
     covariance: Array
     share: Array
 
-    @property
-    def n_data(self) -> int:
-        return len(self.force)
-
     @cached_property
     def _whiten(self) -> Whitener:
         return Whitener.of(self.covariance)
 
-    def weigh(self, theta: Array) -> None:
-        """The weights are those of the published fit."""
-
-    def changes(self, theta: Array) -> bool:
-        return False
-
     def residual(self, theta: Array) -> tuple[Array, Array]:
         c_ratio, gain, place = self.place(theta)
         answer = self.emulator(place)
-        assert answer.jacobian is not None
         sample = pchip_sample(np.r_[0.0, self.knots], np.r_[0.0, answer.values], self.depth)
         factor = gain * c_ratio**self.share
         force = factor * sample.values
-        by_place = factor[:, None] * (sample.weights[:, 1:] @ (answer.jacobian * place))
+        by_place = factor[:, None] * (sample.weights[:, 1:] @ (answer.slopes * place))
         slopes = np.column_stack([force * self.share, force, by_place]) @ self.place.factors
         return self._whiten(self.force - force), -self._whiten(slopes)
 
@@ -230,7 +213,7 @@ class Likelihood:
     """Estimation problem of `adaptive_profiles`; theta begins with c.
 
     parameters : the whole vector theta, on the log scale
-    n_profiled : the parameters to profile are those from 1 to n_profiled, and c if it has no prior
+    profiled : indices of the parameters to profile
     simulated : indices of the parameters that are inputs of a simulation
     n_freedom : number of data minus number of parameters
     """
@@ -248,9 +231,10 @@ class Likelihood:
         several = np.vstack([each.place.factors[2:] for each in blocks])
         self.simulated = tuple(np.flatnonzero(several.any(axis=0)).tolist())
         free = set(self.profiled) - {index for index, _, _ in priors}
-        self.n_freedom = max(sum(each.n_data for each in blocks) - len(free), 1)
         for each in blocks:
             each.weigh(self._starts[0])
+        n_data = sum(len(each.residual(self._starts[0])[0]) for each in blocks)
+        self.n_freedom = max(n_data - len(free), 1)
 
     def objective(self) -> Objective:
         """Residuals in standard deviations, on the current surrogates."""
@@ -287,7 +271,7 @@ class Likelihood:
 
     def distance(self, theta: Array) -> float:
         """Distance to the nearest simulated point, in ln of the parameters that need a simulation."""
-        return max(_distance(each, theta) for each in self.blocks)
+        return max(each.distance(theta) for each in self.blocks)
 
     def solve(self, theta: Array) -> None:
         """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those
@@ -301,7 +285,7 @@ class Likelihood:
         for emulator in dict.fromkeys(each.emulator for each in self.blocks):
             own = [each for each in self.blocks if each.emulator is emulator]
             chosen = [each for each in own if len(own) > 1 and each.uncertainty(theta) > _SURE]
-            chosen = chosen or [max(own, key=lambda each: _distance(each, theta))]
+            chosen = chosen or [max(own, key=lambda each: each.distance(theta))]
             for x in [each.place(theta)[2] for each in chosen]:
                 emulator.curve(x, tuple(range(len(x))))
             emulator.refresh()
@@ -322,7 +306,3 @@ class Likelihood:
     def solved_at(self, theta: Array) -> Array:
         """The law's shape parameters, and those of the states."""
         return np.asarray(theta[1 : 1 + max(self.profiled)])
-
-
-def _distance(block: DataBlock, theta: Array) -> float:
-    return block.emulator.distance(block.place(theta)[2])

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.errors import FitError
-from limbcli.model import Array, IntArray
+from limbcli.model import Array
 from limbcli.numbers.compiled import njit
 
 
@@ -35,7 +35,7 @@ class Sample:
 
 @dataclass(frozen=True, eq=False)
 class Monotone:
-    """Interpolant: knots (n,) ascending; values and slopes (n, ...)."""
+    """Interpolant: knots (n,) ascending; values and slopes (n,)."""
 
     knots: Array
     values: Array
@@ -44,15 +44,13 @@ class Monotone:
     @staticmethod
     def through(knots: Array, values: Array) -> Monotone:
         """
-        >>> curve = Monotone.through(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0]))
-        >>> float(curve(0.5)), float(curve.slope(1.5))
-        (0.5, 1.0)
+        >>> Monotone.through(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 2.0])).slopes
+        array([1., 1., 1.])
         """
-        return Monotone(knots, values, _slopes(knots, values))
-
-    def __call__(self, at: Array | float) -> Array:
-        """Values (*at.shape, ...); beyond the ends the outermost cubic is extrapolated."""
-        return self._values(*self._piece(at))
+        knots, values = (np.ascontiguousarray(each, dtype=float) for each in (knots, values))
+        slopes = np.empty(len(knots))
+        _slopes_of(knots, values, len(knots), slopes)
+        return Monotone(knots, values, slopes)
 
     def with_lines(self, at: Array, first: float, last: float, *, far: float = np.inf) -> Array:
         """Values (n,) of one curve at positions (n,), with linear extrapolation of slopes `first` and `last`.
@@ -66,10 +64,6 @@ class Monotone:
         _with_lines(self.knots, self.values, self.slopes, at, first, last, far, out)
         return out
 
-    def slope(self, at: Array | float) -> Array:
-        """Derivative (*at.shape, ...)."""
-        return self._rates(*self._piece(at))
-
     def read(self, at: Array) -> Sample:
         """One curve with values (n_knots,) at places (n,).
 
@@ -79,25 +73,8 @@ class Monotone:
         """
         at = np.ascontiguousarray(at, dtype=float)
         found = Sample(np.empty(len(at)), np.empty(len(at)), np.empty((len(at), len(self.knots))))
-        _read(*self._arrays, at, found.values, found.slopes, found.weights)
+        _read(self.knots, self.values, self.slopes, at, found.values, found.slopes, found.weights)
         return found
-
-    @property
-    def _arrays(self) -> tuple[Array, Array, Array]:
-        """Knots, values and slopes of one curve as the compiled loops take them."""
-        knots, values, slopes = (
-            np.ascontiguousarray(each, dtype=float) for each in (self.knots, self.values, self.slopes)
-        )
-        return knots, values, slopes
-
-    def _values(self, k: IntArray, t: Array, h: Array) -> Array:
-        y0, y1, d0, d1 = self.values[k], self.values[k + 1], self.slopes[k], self.slopes[k + 1]
-        return np.asarray(_hermite.py_func(y0, y1, d0, d1, h, t))
-
-    def _rates(self, k: IntArray, t: Array, h: Array) -> Array:
-        y0, y1, d0, d1 = self.values[k], self.values[k + 1], self.slopes[k], self.slopes[k + 1]
-        rise = (y1 - y0) / h
-        return np.asarray(6 * t * (1 - t) * rise + (1 - t) * (1 - 3 * t) * d0 + t * (3 * t - 2) * d1)
 
     def inverse(self, wanted: Array) -> Array:
         """Positions (n,) at which one curve with increasing values takes the values `wanted`.
@@ -109,16 +86,8 @@ class Monotone:
         """
         wanted = np.ascontiguousarray(wanted, dtype=float)
         out = np.empty(len(wanted))
-        _inverse(*self._arrays, wanted, out)
+        _inverse(self.knots, self.values, self.slopes, wanted, out)
         return out
-
-    def _piece(self, at: Array | float) -> tuple[IntArray, Array, Array]:
-        at = np.asarray(at, dtype=float)
-        k = np.searchsorted(self.knots[1:-1], at, side="right")
-        h = np.asarray(self.knots[k + 1] - self.knots[k])
-        t = np.asarray((at - self.knots[k]) / h)
-        more = (1,) * (self.values.ndim - 1)
-        return k, np.reshape(t, t.shape + more), np.reshape(h, h.shape + more)
 
 
 def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
@@ -170,14 +139,6 @@ def _check(knots: Array, values: Array, places: Array) -> None:
         )
 
 
-def _slopes(knots: Array, values: Array) -> Array:
-    """Slopes at the knots (n, ...), for every curve."""
-    columns = np.ascontiguousarray(values, dtype=float).reshape(len(knots), -1)
-    out = np.empty_like(columns)
-    _slopes_of_columns(np.ascontiguousarray(knots, dtype=float), columns, out)
-    return out.reshape(values.shape)
-
-
 def columns_through(knots: Array, values: Array, at: Array) -> Array:
     """Values (n_places, n_columns) of curves through the finite values of each column (n_knots, n_columns).
 
@@ -195,17 +156,14 @@ def columns_through(knots: Array, values: Array, at: Array) -> Array:
     return out
 
 
-_kernel = njit
-
-
-@_kernel
+@njit
 def _hermite(y0, y1, d0, d1, h, t):  # type: ignore[no-untyped-def]
     """Value at fraction t of an interval of length h, from the values and slopes at its ends."""
     s = 1.0 - t
     return s * s * ((1 + 2 * t) * y0 + t * h * d0) + t * t * ((3 - 2 * t) * y1 - s * h * d1)
 
 
-@_kernel
+@njit
 def _with_lines(knots, values, slopes, at, first, last, far, out):  # type: ignore[no-untyped-def]
     n = len(knots)
     for i in range(len(at)):
@@ -223,7 +181,7 @@ def _with_lines(knots, values, slopes, at, first, last, far, out):  # type: igno
         out[i] = found + min(max(beyond, -far), far)
 
 
-@_kernel
+@njit
 def _inverse(knots, values, slopes, wanted, out):  # type: ignore[no-untyped-def]
     """Newton's method for the fraction t of an interval, kept within a bracket that shrinks."""
     n = len(knots)
@@ -256,7 +214,7 @@ def _inverse(knots, values, slopes, wanted, out):  # type: ignore[no-untyped-def
         out[i] = knots[k] + t * h
 
 
-@_kernel
+@njit
 def _end_slope(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
     """Three-point end slope, limited to avoid overshoot."""
     d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
@@ -267,7 +225,7 @@ def _end_slope(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
     return d
 
 
-@_kernel
+@njit
 def _slopes_of(x, y, n, out):  # type: ignore[no-untyped-def]
     """Slopes at the first n knots of one curve."""
     if n == 2:
@@ -284,7 +242,7 @@ def _slopes_of(x, y, n, out):  # type: ignore[no-untyped-def]
         out[k] = (w1 + w2) / (w1 / rise + w2 / next_rise) if rise * next_rise > 0 else 0.0
 
 
-@_kernel
+@njit
 def _end_weights(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
     """Derivatives of `_end_slope` with respect to the two secant slopes."""
     d = ((2 * h0 + h1) * m0 - h0 * m1) / (h0 + h1)
@@ -295,7 +253,7 @@ def _end_weights(h0, h1, m0, m1):  # type: ignore[no-untyped-def]
     return (2 * h0 + h1) / (h0 + h1), -h0 / (h0 + h1)
 
 
-@_kernel
+@njit
 def _add_slope_weights(x, y, slope, k, times, out):  # type: ignore[no-untyped-def]
     """out (n,) += times the derivative of the slope at knot k with respect to the values at all knots."""
     n = len(x)
@@ -326,7 +284,7 @@ def _add_slope_weights(x, y, slope, k, times, out):  # type: ignore[no-untyped-d
     out[middle + 1] += times * b
 
 
-@_kernel
+@njit
 def _read(knots, values, slopes, at, value, rate, weights):  # type: ignore[no-untyped-def]
     n = len(knots)
     for i in range(len(at)):
@@ -347,13 +305,7 @@ def _read(knots, values, slopes, at, value, rate, weights):  # type: ignore[no-u
         _add_slope_weights(knots, values, slopes, k + 1, -t * t * s * h, row)
 
 
-@_kernel
-def _slopes_of_columns(knots, columns, out):  # type: ignore[no-untyped-def]
-    for c in range(columns.shape[1]):
-        _slopes_of(knots, columns[:, c], len(knots), out[:, c])
-
-
-@_kernel
+@njit
 def _columns(knots, values, at, out):  # type: ignore[no-untyped-def]
     x, y, slope = np.empty(len(knots)), np.empty(len(knots)), np.empty(len(knots))
     for c in range(values.shape[1]):

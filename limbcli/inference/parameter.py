@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.errors import FitError
 from limbcli.model import Array
@@ -25,8 +26,10 @@ class FitParameter:
     search changes the parameter by more than the factor `step_factor` in one step.
 
     >>> f_kappa = FitParameter("f_kappa", start=100.0, low=0.01, high=1000.0)
-    >>> f_kappa.normalised(650.0), f_kappa.natural(6.5)
-    (6.5, 650.0)
+    >>> normalised([f_kappa, f_kappa.in_logs()], np.array([650.0, 100.0])).tolist()
+    [6.5, 0.0]
+    >>> natural([f_kappa], np.array([6.5])).tolist(), natural([f_kappa.in_logs()], np.array([8.0])).tolist()
+    ([650.0], [1000.0])
     """
 
     name: str
@@ -44,18 +47,6 @@ class FitParameter:
                 fix="choose a start value between the bounds; bounds must be positive",
                 start=self.start, low=self.low, high=self.high,
             )  # fmt: skip
-
-    def normalised(self, theta: float) -> float:
-        ratio = theta / self.start
-        return float(np.log(ratio)) if self.scale == "log" else ratio
-
-    def natural(self, x: float) -> float:
-        theta = self.start * (float(np.exp(x)) if self.scale == "log" else x)
-        return min(max(theta, self.low), self.high)
-
-    def slope(self, theta: float) -> float:
-        """d theta / d x."""
-        return theta if self.scale == "log" else self.start
 
     def at_bound(self, theta: float) -> Literal["low", "high"] | None:
         """The bound that a value lies on (within 0.1 % of it), if any."""
@@ -76,12 +67,22 @@ class FitParameter:
 
 
 def normalised(parameters: Sequence[FitParameter], theta: Array) -> Array:
-    return np.array([p.normalised(float(t)) for p, t in zip(parameters, theta, strict=True)])
+    """x (n,) of theta (n,)."""
+    in_logs, ratio = _in_logs(parameters), theta / [p.start for p in parameters]
+    return np.log(ratio, out=ratio, where=in_logs)
 
 
 def natural(parameters: Sequence[FitParameter], x: Array) -> Array:
-    return np.array([p.natural(float(v)) for p, v in zip(parameters, x, strict=True)])
+    """theta (n,) of x (n,), within the bounds."""
+    factor = np.exp(x, out=np.array(x, dtype=float), where=_in_logs(parameters))
+    start, low, high = np.array([(p.start, p.low, p.high) for p in parameters]).T
+    return np.clip(start * factor, low, high)
 
 
 def slopes(parameters: Sequence[FitParameter], theta: Array) -> Array:
-    return np.array([p.slope(float(t)) for p, t in zip(parameters, theta, strict=True)])
+    """d theta / d x (n,)."""
+    return np.where(_in_logs(parameters), theta, [p.start for p in parameters])
+
+
+def _in_logs(parameters: Sequence[FitParameter]) -> NDArray[np.bool_]:
+    return np.array([p.scale == "log" for p in parameters])

@@ -27,6 +27,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.special import chdtri, ndtri, stdtrit
@@ -116,22 +117,19 @@ class Rows:
 class _Problem:
     """readings (n, q), noise covariances (n, q, q) with their inverses, and the model."""
 
+    model: Model
     readings: Array
     noise: Array
-    weights: Array
-    model: Model
+
+    @cached_property
+    def weights(self) -> Array:
+        return _inverse(self.noise)
 
 
 def estimate_population(
-    model: Model,
-    readings: Array,
-    noise: Array,
-    *,
-    start: Array,
-    prior_deviation: Array,
-    people: Array | None = None,
-    seed: int = 7,
-) -> tuple[Population, Rows]:
+    model: Model, readings: Array, noise: Array, *, start: Array, prior_deviation: Array,
+    people: Array | None = None, seed: int = 7,
+) -> tuple[Population, Rows]:  # fmt: skip
     """Mean and spread of a population, and the posterior of each row.
 
     readings : (n, q)
@@ -140,7 +138,7 @@ def estimate_population(
     prior_deviation : (p,) standard deviation that the weak prior on the spread expects
     people : (n,) the person of each row; None: each row belongs to a different person
     """
-    problem = _Problem(readings, noise, _inverse(noise), model)
+    problem = _Problem(model, readings, noise)
     prior = _PRIOR_ROWS * np.diag(prior_deviation**2)
     mean, spread = start.astype(float), np.diag(prior_deviation**2)
     theta = np.tile(mean, (len(readings), 1))
@@ -177,7 +175,7 @@ def _inverse(matrix: Array) -> Array:
 
 def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: Array) -> Array:
     """Most likely parameters (n, p) of each row under a given population."""
-    problem = _Problem(readings, noise, _inverse(noise), model)
+    problem = _Problem(model, readings, noise)
     return modes(problem, mean, spread, np.tile(mean, (len(readings), 1)))[0]
 
 
@@ -216,10 +214,10 @@ def modes(
 
 
 def _cost(problem: _Problem, values: Array, theta: Array, mean: Array, precision: Array) -> Array:
-    """Negative log of likelihood times prior, up to a constant: (n,)."""
+    """Negative log of likelihood times prior, up to a constant: (..., n), from values (..., n, q)."""
     missed, apart = problem.readings - values, theta - mean
-    fit = np.einsum("ni,nij,nj->n", missed, problem.weights, missed)
-    return np.asarray(0.5 * (fit + np.einsum("ni,ij,nj->n", apart, precision, apart)))
+    fit = np.einsum("...ni,nij,...nj->...n", missed, problem.weights, missed)
+    return np.asarray(0.5 * (fit + np.einsum("...ni,ij,...nj->...n", apart, precision, apart)))
 
 
 def _quadratic(
@@ -260,11 +258,8 @@ def _sampled(
     near, far = (np.asarray(_WIDER * np.linalg.cholesky(each), float) for each in (covariance, spread))
     points = np.concatenate([theta + np.einsum("nij,dnj->dni", near, draws[::2]), mean + draws[1::2] @ far.T])
     values, _ = problem.model(points, False)
-    precision = _inverse(spread)
-    missed, apart = problem.readings - values, points - mean
-    logs = -0.5 * np.einsum("dni,nij,dnj->dn", missed, problem.weights, missed)
-    logs -= 0.5 * np.einsum("dni,ij,dnj->dn", apart, precision, apart)
-    logs -= np.logaddexp(_log_density(points - theta, near), _log_density(apart, far))
+    logs = -_cost(problem, values, points, mean, _inverse(spread))
+    logs -= np.logaddexp(_log_density(points - theta, near), _log_density(points - mean, far))
     logs -= logs.max(axis=0)
     weights = np.exp(logs)
     return points, weights / weights.sum(axis=0)
@@ -334,16 +329,10 @@ def _rows(
     shifted = points + np.einsum("nij,dnj->dni", taken, mean_errors)
     low, high = (_quantiles(shifted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
-    return Rows(
-        middle,
-        np.sqrt(variance),
-        low,
-        high,
-        mode,
-        1.0 / np.sum(weights**2, axis=0),
-        np.clip(variance / np.diag(population.spread), 0.0, 1.0),
-        _misfit(problem, population.mean, population.spread),
-    )
+    shrinkage = np.clip(variance / np.diag(population.spread), 0.0, 1.0)
+    misfit = _misfit(problem, population.mean, population.spread)
+    effective = 1.0 / np.sum(weights**2, axis=0)
+    return Rows(middle, np.sqrt(variance), low, high, mode, effective, shrinkage, misfit)
 
 
 def _mean_errors(population: Population, shape: tuple[int, ...], seed: int) -> Array:

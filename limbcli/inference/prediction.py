@@ -27,6 +27,12 @@ class Prediction:
     values: Array
     jacobian: Array | None = None
 
+    @property
+    def slopes(self) -> Array:
+        """The jacobian, where there is one."""
+        assert self.jacobian is not None
+        return self.jacobian
+
     def has(self, wrt: Sequence[int]) -> bool:
         """Whether the derivatives with respect to these parameters are available."""
         if not wrt:
@@ -175,9 +181,3 @@ def sampled(
         return Prediction(sample.values, sample.weights[:, 1:] @ at_knots.jacobian[:, columns])
 
     return predict
-
-
-def slopes_at(curve: PredictedCurve, knots: Array, depths: Array, theta: Array) -> Array:
-    """dF/dd of the interpolated curve at the measured depths (n,), N/mm."""
-    values = curve(theta).values
-    return pchip_sample(np.r_[0.0, knots], np.r_[0.0, values], np.maximum(depths, 0.0)).slopes

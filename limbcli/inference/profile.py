@@ -94,14 +94,9 @@ def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Se
 
 
 def profile_likelihood(
-    objective: Objective,
-    parameters: Sequence[FitParameter],
-    best: Fit,
-    index: int,
-    *,
-    threshold: float = THRESHOLD_95,
-    scale: float = 1.0,
-) -> Profile:
+    objective: Objective, parameters: Sequence[FitParameter], best: Fit, index: int, *,
+    threshold: float = THRESHOLD_95, scale: float = 1.0,
+) -> Profile:  # fmt: skip
     """Profile likelihood of parameter `index`, followed outwards from the best fit to its bounds.
 
     objective : residuals in standard deviations, so that its cost is chi-square

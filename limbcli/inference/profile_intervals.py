@@ -17,10 +17,8 @@ import numpy as np
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
 from limbcli.inference.emulator import Emulator
 from limbcli.inference.geometry_uncertainty import at_depths
-from limbcli.inference.identifiability import force_variance
 from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.prediction import sampled, slopes_at
 from limbcli.inference.two_step_fit import CurveMatch, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -68,15 +66,9 @@ def _around(name: str, value: float, log_deviation: float) -> tuple[FitParameter
 
 
 def force_intervals(
-    match: CurveMatch,
-    stiffness: Stiffness,
-    theta: Array,
-    *,
-    free: Sequence[int] = (0, 1),
-    max_solves: int = 12,
-    shape_modes: Array | None = None,
-    progress: Progress = SILENT,
-) -> Intervals:
+    match: CurveMatch, stiffness: Stiffness, theta: Array, *, free: Sequence[int] = (0, 1),
+    max_solves: int = 12, shape_modes: Array | None = None, progress: Progress = SILENT,
+) -> Intervals:  # fmt: skip
     """Profile likelihoods of f_kappa and m (those in `free`), with c varying within its own and the mesh's
     uncertainty.
 
@@ -103,14 +95,9 @@ class _ForceProblem(Likelihood):
     ):  # fmt: skip
         curve, knots, data = match.curve, match.knots, match.data
         depth, force = data.depth[data.loaded], data.force[data.loaded]
-        variance = force_variance(
-            slopes_at(curve, knots, depth, fitted),
-            force_deviation=data.force_deviation, depth_deviation=data.depth_deviation,
-        )  # fmt: skip
-        covariance = np.diag(variance)
+        covariance = np.diag(match.variance(fitted))
         if shape_modes is not None and len(shape_modes):
-            known = sampled(curve, knots, depth, free=(0, 1), fixed=fitted)(fitted, derivative=False)
-            moved = known.values[:, None] * at_depths(shape_modes, knots, depth)
+            moved = match.moved(fitted, shape_modes)
             covariance = covariance + moved @ moved.T
         share = np.ones(len(depth))
         if stiffness.share is not None:
@@ -118,14 +105,11 @@ class _ForceProblem(Likelihood):
         shape = [p.started_at(float(t)).in_logs() for p, t in zip(search_parameters(), fitted, strict=True)]
         (c, _), *others = nuisances = stiffness.nuisances()
         parameters = [c, *(shape[k] for k in free), *(each for each, _ in others)]
-        last = 1 + len(free)
+        last, factors = 1 + len(free), np.zeros((2, len(parameters)))
+        factors[free, range(1, last)] = 1.0
         place = Place.of(
             len(parameters), c0=stiffness.c, shape=(), gain=last if others else None,
-            offset=np.where(np.isin((0, 1), free), 0.0, np.log(fitted)),
-            factors=np.array([
-                np.eye(len(parameters))[1 + free.index(k)] if k in free else np.zeros(len(parameters))
-                for k in (0, 1)
-            ]),
+            offset=np.where(factors.any(axis=1), 0.0, np.log(fitted)), factors=factors,
         )  # fmt: skip
         block = ForceBlock(Emulator(curve), place, knots, depth, force, covariance, share)
         target = curve(fitted).values

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
-from limbcli.inference.prediction import Predictor
+from limbcli.inference.prediction import Prediction, Predictor
 from limbcli.model import Array
 
 
-@dataclass(frozen=True, eq=False)
-class Residual:
-    """values (n,), and jacobian (n, n_parameters) d value / d theta, or None."""
-
-    values: Array
-    jacobian: Array | None = None
+class Residual(Prediction):
+    """Predicted minus measured values, or the reverse."""
 
     @property
     def cost(self) -> float:

@@ -7,13 +7,13 @@ depth at which the simulation reaches the measured force.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
-from limbcli.inference.prediction import PredictedCurve
+from limbcli.inference.prediction import Prediction
 from limbcli.inference.site_layers import NO_LAYERS, LayerData
 from limbcli.model import Array
 
@@ -53,13 +53,12 @@ class SiteMeasurement:
     def without(self, levels: NDArray[np.bool_]) -> SiteMeasurement:
         """The measurement without some force levels ((n,) bool) and without the speeds and layers at their
         forces."""
-        gone = np.isin(self.speed_force, self.force[levels])
-        keep, speeds = ~levels, ~gone
-        return SiteMeasurement(
-            self.name, self.knots, self.force[keep], self.depth[keep], self.force_deviation,
-            self.depth_deviation, self.speed_force[speeds], self.log_speed[speeds],
-            self.speed_deviation[speeds], self.gain_deviation,
-            self.layers.without(np.isin(self.layers.force, self.force[levels])),
+        speeds = ~np.isin(self.speed_force, self.force[levels])
+        return replace(
+            self, force=self.force[~levels], depth=self.depth[~levels],
+            speed_force=self.speed_force[speeds], log_speed=self.log_speed[speeds],
+            speed_deviation=self.speed_deviation[speeds],
+            layers=self.layers.without(np.isin(self.layers.force, self.force[levels])),
         )  # fmt: skip
 
 
@@ -82,27 +81,21 @@ RestSpeed = float | Callable[[Array], tuple[float, Array]]
 
 
 def predict_site(
-    curve: PredictedCurve,
-    data: SiteMeasurement,
-    shape: Array,
-    *,
-    c_ratio: float,
-    gain: float,
+    answer: Prediction, data: SiteMeasurement, shape: Array, *, c_ratio: float, gain: float,
     log_speed_0: RestSpeed,
-) -> SitePrediction:
-    """Prediction of a site's measurement from its simulated curve.
+) -> SitePrediction:  # fmt: skip
+    """Prediction of a site's measurement from its curve simulated with this shape.
 
-    curve : shape -> forces at the knots (N); then speeds there (m/s), which may be missing if the data have
-        none; then, where the data have layers, the depths below the skin (mm) of all layer borders at the
-        first knot, at the second, ...; for c_ratio 1 and gain 1
+    answer : forces at the knots (N); then speeds there (m/s), which may be missing if the data have none;
+        then, where the data have layers, the depths below the skin (mm) of all layer borders at the first
+        knot, at the second, ...; for c_ratio 1 and gain 1
     log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1; the speed is sqrt(c / (2 rho)), except for
         laws with fibres
 
     `stiffness` (n,) of the result is dF/dd at the forces (N/mm).
     """
-    n, answer = len(data.knots), curve(shape, tuple(range(len(shape))))
-    assert answer.jacobian is not None
-    by_log = answer.jacobian * shape
+    n = len(data.knots)
+    by_log = answer.slopes * shape
     knots = np.concatenate([[0.0], data.knots])
     force = np.concatenate([[0.0], answer.values[:n]]) * c_ratio * gain
     force_by = np.vstack([np.zeros(len(shape)), by_log[:n]]) * c_ratio * gain
@@ -111,16 +104,14 @@ def predict_site(
     stiffness, reached_by = _implicit(knots, force, force_by, reached, wanted)
     of_speeds, of_layers = slice(m, m + len(data.speed_force)), slice(m + len(data.speed_force), None)
     last = len(answer.values) - n * len(data.layers.rest)  # speeds may be missing before them
-    thickness, thickness_by = _layers(
-        data.layers, knots, answer.values[last:], by_log[last:], reached[of_layers], reached_by[of_layers]
+    layers = data.layers.predicted(
+        knots, answer.values[last:], by_log[last:], reached[of_layers], reached_by[of_layers]
     )
-    depth, at, at_by = reached[:m], reached[of_speeds], reached_by[of_speeds]
+    at, at_by = reached[of_speeds], reached_by[of_speeds]
+    depth = reached[:m], reached_by[:m], stiffness[:m]
     if not len(data.speed_force):
-        none = np.zeros((0, 2 + len(shape)))
-        return SitePrediction(
-            depth, reached_by[:m], stiffness[:m], np.zeros(0), none, thickness, thickness_by
-        )
-    rest, rest_by = log_speed_0(shape) if callable(log_speed_0) else (log_speed_0, np.zeros(len(shape)))
+        return SitePrediction(*depth, np.zeros(0), np.zeros((0, 2 + len(shape))), *layers)
+    rest, rest_by = _value_and_slopes(log_speed_0, shape)
     of_curve = slice(n, 2 * n)
     speed = np.concatenate([[rest], np.log(answer.values[of_curve])])
     speed_by = np.vstack([rest_by, by_log[of_curve] / answer.values[of_curve, None]])
@@ -130,9 +121,11 @@ def predict_site(
     log_speed_by = slope[:, None] * at_by
     log_speed_by[:, 2:] += sample.weights @ speed_by
     log_speed_by[:, 0] += 0.5
-    return SitePrediction(
-        depth, reached_by[:m], stiffness[:m], log_speed, log_speed_by, thickness, thickness_by
-    )
+    return SitePrediction(*depth, log_speed, log_speed_by, *layers)
+
+
+def _value_and_slopes(log_speed_0: RestSpeed, shape: Array) -> tuple[float, Array]:
+    return log_speed_0(shape) if callable(log_speed_0) else (log_speed_0, np.zeros(len(shape)))
 
 
 def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Array]]:
@@ -140,24 +133,10 @@ def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Ar
     of c."""
 
     def at(place: Array) -> tuple[float, Array]:
-        known = log_speed_0(place[1:]) if callable(log_speed_0) else (log_speed_0, np.zeros(len(place) - 1))
-        return known[0] + 0.5 * float(np.log(place[0])), np.concatenate([[0.5], known[1]])
+        known, slopes = _value_and_slopes(log_speed_0, place[1:])
+        return known + 0.5 * float(np.log(place[0])), np.concatenate([[0.5], slopes])
 
     return at
-
-
-def _layers(
-    data: LayerData, knots: Array, borders: Array, borders_by: Array, at: Array, at_by: Array
-) -> tuple[Array, Array]:
-    """Thickness (n,) and its derivatives, from borders (n_knots * n_borders,) and their derivatives by ln
-    shape."""
-    if not len(data):
-        return np.zeros(0), np.zeros((0, at_by.shape[1]))
-    n_borders = len(data.rest)
-    table = np.vstack([data.rest, borders.reshape(-1, n_borders)])
-    table_by = borders_by.reshape(-1, n_borders, borders_by.shape[1])
-    table_by = np.concatenate([np.zeros((1, *table_by.shape[1:])), table_by])
-    return data.predicted(knots, table, table_by, at, at_by)
 
 
 def invert(knots: Array, force: Array, wanted: Array) -> Array:

@@ -58,18 +58,23 @@ class LayerData:
         """Thickness (n,) mm and its derivatives (n, 2 + n_shape) by ln c, ln gain, ln shape.
 
         knots : (n_knots,) mm from 0
-        borders, borders_by : (n_knots, n_borders) mm below the skin, and derivatives by ln shape (n_knots,
-            n_borders, n_shape)
+        borders, borders_by : mm below the skin, of all borders at the second knot, at the third, ..., and
+            derivatives by ln shape ((n_knots - 1) n_borders, n_shape)
         at, at_by : (n,) simulated depths of the readings' forces (mm), and derivatives (n, 2 + n_shape)
         """
-        values, slopes = np.zeros((len(self), len(self.rest) + 1)), np.zeros((len(self), len(self.rest) + 1))
-        by_shape = np.zeros((len(self), len(self.rest) + 1, borders_by.shape[2]))
+        n, n_shape = len(self.rest), borders_by.shape[1]
+        if not len(self):
+            return np.zeros(0), np.zeros((0, 2 + n_shape))
+        depths = np.vstack([self.rest, borders.reshape(-1, n)])
+        depths_by = np.concatenate([np.zeros((1, n, n_shape)), borders_by.reshape(-1, n, n_shape)])
+        values, slopes = np.zeros((2, len(self), n + 1))
+        by_shape = np.zeros((len(self), n + 1, n_shape))
         inside = np.clip(at, 0.0, knots[-1])
-        for j in range(len(self.rest)):
-            sample = pchip_sample(knots, borders[:, j], inside)
+        for j in range(n):
+            sample = pchip_sample(knots, depths[:, j], inside)
             values[:, j + 1] = sample.values
             slopes[:, j + 1] = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
-            by_shape[:, j + 1] = sample.weights @ borders_by[:, j]
+            by_shape[:, j + 1] = sample.weights @ depths_by[:, j]
         rows = np.arange(len(self))
 
         def layer(table: Array) -> Array:

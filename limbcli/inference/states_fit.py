@@ -21,25 +21,12 @@ from limbcli.inference.likelihood import EvenSpeed, Likelihood, Place, SiteBlock
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.profile import best_of
-from limbcli.inference.site_depth import SiteMeasurement, SitePrediction
+from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _FOR_THE_BEST = 4  # largest number of rounds of simulations that refine the best fit before the intervals
 _NEAR = 0.05  # largest distance from a solved point, in ln of the curve's parameters, of a simulated best fit
-
-
-@dataclass(frozen=True, eq=False)
-class StateMeasurement:
-    """Data of one state, and ln of its stretches as an affine function of the stretch parameters.
-
-    ln stretches (n_ways,) = offset (n_ways,) + factors (n_ways, n_stretches) times ln of the stretch
-    parameters. `data.knots` are probe depths on the common curve (mm).
-    """
-
-    data: SiteMeasurement
-    offset: Array
-    factors: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +36,9 @@ class StatesTask:
     curve : (shape, stretches) -> forces and relative speeds at the knots, the relative speed at rest, and exp
         of the rise of the skin (mm), all for c0
     even_speed : the speed in evenly stretched tissue to which those speeds are relative
+    data : of the states; their `knots` are probe depths on the common curve (mm)
+    offsets (n_states, n_ways), factors (n_states, n_ways, n_stretches) : ln of a state's stretches is its
+        offset plus its factors times ln of the stretch parameters
     shape, stretches : parameters of the law and of the states
     gain_deviation : standard deviation of the numerical error of ln force, common to all states because they
         share one mesh
@@ -58,7 +48,9 @@ class StatesTask:
 
     curve: SolvedPoints
     even_speed: EvenSpeed
-    states: Sequence[StateMeasurement]
+    data: Sequence[SiteMeasurement]
+    offsets: Array
+    factors: Array
     shape: Sequence[FitParameter]
     stretches: Sequence[FitParameter]
     c0: float
@@ -82,14 +74,14 @@ class StatesProblem(Likelihood):
             *([gain_of_mesh()] if gained else []),
         ]
         emulator, blocks = Emulator(task.curve), []
-        for each in task.states:
-            factors = np.zeros((len(each.offset), len(parameters)))
-            factors[:, first:last] = each.factors
+        for data, offset, own in zip(task.data, task.offsets, task.factors, strict=True):
+            factors = np.zeros((len(offset), len(parameters)))
+            factors[:, first:last] = own
             place = Place.of(
                 len(parameters), c0=task.c0, shape=range(1, first), beside_layers=task.beside_layers,
-                gain=last if gained else None, offset=each.offset, factors=factors,
+                gain=last if gained else None, offset=offset, factors=factors,
             )  # fmt: skip
-            blocks.append(SiteBlock(each.data, emulator, place, even_speed=task.even_speed))
+            blocks.append(SiteBlock(data, emulator, place, even_speed=task.even_speed))
         ones = np.ones(int(gained))
         super().__init__(
             parameters, blocks, [np.r_[each, ones] for each in starts], profiled=range(last),
@@ -103,14 +95,6 @@ class StatesProblem(Likelihood):
     def c_of_curve(self, theta: Array) -> float:
         """The c (MPa) that, together with the curve's parameters, describes the tissue of theta."""
         return self.task.c0 * self.blocks[0].place(theta)[0]
-
-    def stretch_values(self, theta: Array) -> Array:
-        """Stretch parameters of theta."""
-        return np.asarray(theta[1 + self.n_shape : 1 + max(self.profiled)])
-
-    def predict(self, k: int, theta: Array) -> SitePrediction:
-        """Prediction of state k at theta by the surrogate."""
-        return self.blocks[k].predict(theta)
 
     def gain(self, theta: Array) -> float:
         return self.blocks[0].place(theta)[1]
@@ -131,13 +115,13 @@ def states_fit(
     FitError
         If there are fewer data than parameters, or no start leads to a fit.
     """
-    n_levels = sum(len(each.data.force) for each in task.states)
-    n_speeds = sum(len(each.data.log_speed) for each in task.states)
+    n_levels = sum(len(each.force) for each in task.data)
+    n_speeds = sum(len(each.log_speed) for each in task.data)
     n_parameters = 1 + len(task.shape) + len(task.stretches)
     if n_levels + n_speeds < n_parameters:
         raise FitError(
             f"{n_levels} loaded levels and {n_speeds} speeds for {n_parameters} parameters",
-            where=", ".join(each.data.name for each in task.states),
+            where=", ".join(each.name for each in task.data),
             fix="measure more levels, or give more of the states' stretches",
         )
     problem = StatesProblem(task, starts)

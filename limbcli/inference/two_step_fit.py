@@ -12,7 +12,10 @@ from numpy.typing import NDArray
 
 from limbcli.errors import FitError
 from limbcli.inference.emulator import Emulator
+from limbcli.inference.geometry_uncertainty import at_depths
+from limbcli.inference.identifiability import force_variance
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
+from limbcli.inference.monotone_interpolation import Sample, pchip_sample
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
 from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
 from limbcli.inference.residual import coefficient_of_determination, force_residual, root_mean_square
@@ -57,6 +60,24 @@ class CurveMatch:
     knots: Array
     data: ForceDepth
 
+    def sample(self, theta: Array, depths: Array) -> Sample:
+        """The curve (N) at depths (n,) mm, with its slopes; 0 before first touch."""
+        forces = np.r_[0.0, self.curve(theta).values]
+        return pchip_sample(np.r_[0.0, self.knots], forces, np.maximum(depths, 0.0))
+
+    def variance(self, theta: Array) -> Array:
+        """Variance (n,), N^2, of the force residuals at the loaded levels."""
+        data = self.data
+        slopes = self.sample(theta, data.depth[data.loaded]).slopes
+        return force_variance(
+            slopes, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation
+        )
+
+    def moved(self, theta: Array, modes: Array) -> Array:
+        """Change of force (n, n_modes), N, at the loaded levels by changes of ln force (n_modes, n_knots)."""
+        depth = self.data.depth[self.data.loaded]
+        return self.sample(theta, depth).values[:, None] * at_depths(modes, self.knots, depth)
+
 
 @dataclass(frozen=True, eq=False)
 class FittedStep:
@@ -84,12 +105,8 @@ def search_parameters(
 
 
 def two_step(
-    match: CurveMatch,
-    *,
-    tolerance: float = 1e-3,
-    max_iterations: int = 50,
-    progress: Progress = SILENT,
-) -> tuple[FittedStep, FittedStep]:
+    match: CurveMatch, *, tolerance: float = 1e-3, max_iterations: int = 50, progress: Progress = SILENT,
+) -> tuple[FittedStep, FittedStep]:  # fmt: skip
     """Identify (f_kappa, m) from a force-depth curve, with c held fixed.
 
     Minimises the sum of squared F_exp - F_sim at the measured depths, with the simulated curve interpolated
@@ -159,5 +176,4 @@ def sensitivities(match: CurveMatch, theta: Array) -> Prediction:
     depths = match.data.depth[match.data.loaded]
     predict = sampled(match.curve, match.knots, depths, free=(F_KAPPA, M), fixed=theta)
     answer = predict(theta)
-    assert answer.jacobian is not None
-    return Prediction(answer.values, answer.jacobian * theta)
+    return Prediction(answer.values, answer.slopes * theta)

@@ -179,7 +179,7 @@ class _Diagnosed:
                         inputs.case, inputs.site(site), effects, out=self.out, mesh=options.mesh,
                         extras=[] if prepared else extras, draining=self.draining, progress=self.progress,
                     )  # fmt: skip
-                opened.callback(one.close)
+                opened.callback(one.simulations.close)
                 prepared.append(one)
             forward_model = SiteForwardModel([each.curves for each in prepared])
             forward_model.settle_noise()

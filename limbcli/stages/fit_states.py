@@ -26,7 +26,7 @@ from limbcli.fitting.states_result import write_states
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states_fit import StateMeasurement, StatesProblem, StatesTask, states_fit
+from limbcli.inference.states_fit import StatesProblem, StatesTask, states_fit
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
@@ -133,13 +133,10 @@ def identify(
     """
     memory = SolvedPoints(curve)
     first_simulations(memory, curve.law, plan, progress=progress)
-    states = [
-        StateMeasurement(each, offset, factors)
-        for each, offset, factors in zip(data, plan.offsets, plan.factors, strict=True)
-    ]
     task = StatesTask(
-        curve=memory, even_speed=curve.even_speed, states=states, shape=law.shape,
-        stretches=plan.parameters, c0=curve.c, gain_deviation=gain, beside_layers=curve.law.has_ratio,
+        curve=memory, even_speed=curve.even_speed, data=data, offsets=plan.offsets, factors=plan.factors,
+        shape=law.shape, stretches=plan.parameters, c0=curve.c, gain_deviation=gain,
+        beside_layers=curve.law.has_ratio,
     )  # fmt: skip
     return states_fit(task, starts(curve.c, law, plan), max_rounds=max_rounds, progress=progress)
 

@@ -147,13 +147,13 @@ def _inclusion(out: Hidden, rng: np.random.Generator, thick: float, c_kpa: float
 
 def _skin(out: Hidden, rng: np.random.Generator, thick: float, c_kpa: float) -> dict:
     deep, ratio = rng.uniform(1.1, 1.6), rng.uniform(14.0, 26.0)
-    out.change = lambda model: scaled(model, 1 + layer_share(model, 0.0, deep) * (ratio - 1))
+    out.change = lambda model: scaled(model, 1 + layer_share(model, deep) * (ratio - 1))
     return {"thickness_mm": deep, "c_kpa": ratio * c_kpa}
 
 
 def _fat(out: Hidden, rng: np.random.Generator, thick: float, c_kpa: float) -> dict:
     deep, ratio = rng.uniform(4.0, 9.0), rng.uniform(0.25, 0.45)
-    out.change = lambda model: scaled(model, 1 + layer_share(model, 0.0, deep) * (ratio - 1))
+    out.change = lambda model: scaled(model, 1 + layer_share(model, deep) * (ratio - 1))
     return {"thickness_mm": deep, "stiffness_ratio": ratio}
 
 

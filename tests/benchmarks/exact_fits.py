@@ -74,7 +74,7 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearE
         off = model.predictions.whiten(model.data.y - found.prediction)
         evidence = resembled(model, found)
     finally:
-        prepared.close()
+        prepared.simulations.close()
     ln_c, ln_m = (float(np.log(found.values[name] / truth[name])) for name in ("c_kpa", "m"))
     return ln_c, ln_m, float(off @ off), len(off), evidence
 

@@ -102,7 +102,7 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
             )
         )
     finally:
-        prepared.close()
+        prepared.simulations.close()
     windows = prepared.simulations.windows
     depth, force, theirs = record_of(site, windows)
     ours = at_force(curves, curves.log_speed, force)

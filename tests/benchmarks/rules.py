@@ -69,7 +69,7 @@ def diagnosed(case: Case, out: Path) -> tuple[Diagnosis, Search]:
         return run.run(), run.search
     finally:
         for each in prepared:
-            each.close()
+            each.simulations.close()
 
 
 def by_bic(search: Search) -> tuple[str, list[list[str]]]:

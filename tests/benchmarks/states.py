@@ -32,7 +32,7 @@ from limbcli.inference.derived import SearchRange, derived_interval, lowest_on_g
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states_fit import StateMeasurement, StatesTask, states_fit
+from limbcli.inference.states_fit import StatesTask, states_fit
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
 from limbcli.site_model.indentation_model import indentation_model
@@ -82,16 +82,18 @@ def noisy(levels, forces, seed):
 
 
 def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
-    states = []
+    several = []
     for k, (force, depth, speed) in enumerate(noisy(levels, forces, seed)):
         loaded = (depth > 0) & (force > 0)
-        data = SiteMeasurement(
+        several.append(SiteMeasurement(
             str(k), curve.depths, force[loaded], depth[loaded], FORCE_SD, DEPTH_SD, np.maximum(force, 0.0),
             np.log(speed), np.full(len(speed), SPEED_SD),
-        )  # fmt: skip
-        states.append(StateMeasurement(data, plan.offsets[k], plan.factors[k]))
+        ))  # fmt: skip
     law, clock, before = LAWS["ogden"], time.process_time(), memory.n_solves
-    task = StatesTask(memory, curve.even_speed, states, law.shape, plan.parameters, truth["c"], gain)
+    task = StatesTask(
+        memory, curve.even_speed, several, plan.offsets, plan.factors, law.shape, plan.parameters, truth["c"],
+        gain,
+    )  # fmt: skip
     problem, found = states_fit(task, starts(truth["c"], law, plan))
 
     def lowest(theta):

@@ -360,7 +360,7 @@ def of_site(case: Case, site: Site, out: Path) -> Iterator[dict[str, Any]]:
                 best = max(found, key=lambda each: float(each["read"]["all"]))
                 yield {"effect": facts.name, **best}
     finally:
-        prepared.close()
+        prepared.simulations.close()
         if pixels is not None:
             pixels.simulations.close()
 

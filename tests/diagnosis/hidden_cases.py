@@ -55,7 +55,7 @@ class Otherwise:
             return with_part(model, Material("fiber_exp_pow", fibre))
         if self.name == "skin-layer":
             ratio = 1 + (np.exp(theta["log_skin_ratio"]) - 1) * 1.5 / 1.2
-            return scaled(model, 1 + layer_share(model, 0.0, 1.2) * (ratio - 1))
+            return scaled(model, 1 + layer_share(model, 1.2) * (ratio - 1))
         return effect(self.name).apply(model, theta)
 
 

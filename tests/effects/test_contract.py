@@ -14,7 +14,7 @@ from limbcli.effects import EFFECTS, effect
 from limbcli.effects.curves import Curves
 from limbcli.effects.depth_zero import TOUCHES
 from limbcli.effects.drainage import Drainage
-from limbcli.effects.effect import Effect
+from limbcli.effects.effect import Effect, Parameter
 from limbcli.effects.reading import Protocol, Reading, read
 from limbcli.effects.tissue import core
 from limbcli.effects.turn import TURN
@@ -112,6 +112,17 @@ def test_febio_model_is_read_back_as_written(each: Effect, base, tmp_path):
     assert back.contacts[0].penalty == model.contacts[0].penalty
 
 
+def test_a_field_of_stiffness_alone_is_applied_to_the_model(base):
+    ratio = Parameter("own_ratio", null=1.0, start=2.0, low=1.0, high=4.0, typical=2.0)
+    own = Effect(
+        "own", "all of it is stiffer", "tissue", "no source", parameters=(ratio,),
+        stiffness=lambda places, theta: np.full(places.at.shape[:-1], theta["own_ratio"]),
+    )  # fmt: skip
+    assert own.apply(base, own.null) is base
+    before, after = (each.materials["tissue"].parameters["c1"] for each in (base, own.apply(base, own.start)))
+    assert after.values == pytest.approx(2.0 * before)
+
+
 # ---------------------------------------------------------------- against the golden models
 
 
@@ -129,7 +140,7 @@ def test_skin_has_the_golden_volume_and_stiffness(golden, base):
     from limbcli.effects.stiffness_places import layer_share
     from limbcli.solvers.integration_points import IntegrationPoints
 
-    share = layer_share(base, 0.0, 1.5)
+    share = layer_share(base, 1.5)
     corners = base.mesh.surfaces["skin"].facets["tri6"][:, :3].ravel()
     top = np.ptp(base.mesh.points[corners][:, :2], axis=0)
     volume = IntegrationPoints.of(base.mesh.points, base.mesh.solid_blocks[0]).volume.sum(axis=1)

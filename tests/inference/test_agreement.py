@@ -90,7 +90,7 @@ def test_too_close_and_the_shape_of_a_drift_are_said():
 @pytest.mark.parametrize("name", FITS)
 def test_the_page_shows_the_state_of_the_result(name):
     found, state = FITS[name]
-    told = {"agreement": {"state": found.state, "force": found.to_json()}}
+    told = {"agreement": {"state": found.state, "force": vars(found)}}
     view = agreement_view(told, "force")
     assert (view.state, view.words) == (found.state, found.words)
     assert (view.mood == "fine") == (state == "good"), "green only where a test has said so"
@@ -106,6 +106,6 @@ def test_forces_that_no_soft_tissue_of_this_speed_gives_are_bad(below: float, is
 def test_the_page_says_first_what_contradicts_itself():
     tissue = tissue_agreement(1.0, ["f_kappa"])
     assert tissue is not None
-    good = force(ZIGZAG).to_json()
-    view = agreement_view({"agreement": {"state": "bad", "force": good, "tissue": tissue.to_json()}})
+    good = vars(force(ZIGZAG))
+    view = agreement_view({"agreement": {"state": "bad", "force": good, "tissue": vars(tissue)}})
     assert view.words == tissue.words

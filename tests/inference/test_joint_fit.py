@@ -83,7 +83,8 @@ def test_derivatives_of_depth_and_speed_are_those_of_differences(simulated):
     exact, shape = curve(simulated, graded_speed=True), np.array([30.0, 3.0])
 
     def at(c_ratio=1.1, gain=0.97, shape=shape):
-        return predict_site(exact, data, shape, c_ratio=c_ratio, gain=gain, log_speed_0=LOG_SPEED_0)
+        answer = exact(shape, (0, 1))
+        return predict_site(answer, data, shape, c_ratio=c_ratio, gain=gain, log_speed_0=LOG_SPEED_0)
 
     step, base = 1e-5, at()
     moves = [
@@ -201,11 +202,11 @@ def test_depths_are_weighed_by_the_slopes_of_the_fit(simulated, monkeypatch):
         data, depth=data.depth + 0.1 / np.gradient(data.force, data.depth) * (-1.0) ** np.arange(11)
     )
     problem, found = joint_fit(task(simulated, [data]), STARTS, max_solves=2)
-    weights = data.weights_at(problem.predict(0, found.best).stiffness)
-    first = data.weights_at(problem.predict(0, STARTS[0]).stiffness)
+    weights = data.weights_at(problem.blocks[0].predict(found.best).stiffness)
+    first = data.weights_at(problem.blocks[0].predict(STARTS[0]).stiffness)
     assert (weights / first).max() > 1.5
-    missed = (data.depth - problem.predict(0, found.best).depth) / weights
-    speeds = (data.log_speed - problem.predict(0, found.best).log_speed) / data.speed_deviation
+    missed = (data.depth - problem.blocks[0].predict(found.best).depth) / weights
+    speeds = (data.log_speed - problem.blocks[0].predict(found.best).log_speed) / data.speed_deviation
     assert found.chi_square == pytest.approx(missed @ missed + speeds @ speeds, rel=0.05)
     assert not problem.settle(found.best)
 

@@ -9,15 +9,15 @@ from scipy.interpolate import PchipInterpolator
 from limbcli.inference.monotone_interpolation import Monotone, columns_through
 
 
-@pytest.mark.parametrize("shape", [(7,), (7, 3), (2,), (3, 2)])
-def test_values_and_slopes_are_those_of_scipy(rng, shape):
-    knots = np.cumsum(0.2 + rng.random(shape[0]))
-    values = rng.standard_normal(shape).round(1)  # some neighbours are equal
+@pytest.mark.parametrize("n", [2, 3, 7, 12])
+def test_values_and_slopes_are_those_of_scipy(rng, n):
+    knots = np.cumsum(0.2 + rng.random(n))
+    values = rng.standard_normal(n).round(1)  # some neighbours are equal
     mine, theirs = Monotone.through(knots, values), PchipInterpolator(knots, values)
     at = np.r_[knots, np.linspace(knots[0], knots[-1], 50)]
-    assert mine(at) == pytest.approx(theirs(at), abs=1e-13)
-    assert mine.slope(at) == pytest.approx(theirs(at, 1), abs=1e-12)
-    assert mine(float(knots[1])) == pytest.approx(values[1], abs=1e-14)
+    found = mine.read(at)
+    assert found.values == pytest.approx(theirs(at), abs=1e-13)
+    assert found.slopes == pytest.approx(theirs(at, 1), abs=1e-12)
 
 
 @pytest.mark.parametrize("kind", ["growing", "wavy", "with flats", "two knots", "three knots"])
@@ -32,14 +32,14 @@ def test_weights_are_differences_by_the_knots_values(kind, rng):
     weights = Monotone.through(knots, values).read(at).weights
     for k in np.flatnonzero(~fixed):
         move = 1e-6 * np.eye(n)[k]
-        up, down = (Monotone.through(knots, values + sign * move)(at) for sign in (1, -1))
+        up, down = (Monotone.through(knots, values + sign * move).read(at).values for sign in (1, -1))
         np.testing.assert_allclose(weights[:, k], (up - down) / 2e-6, atol=1e-7)
 
 
 def test_inverse_finds_the_place_again(rng):
     knots, values = np.cumsum(rng.uniform(0.2, 1.0, 8)), np.cumsum(rng.uniform(0.1, 1.0, 8))
     curve, at = Monotone.through(knots, values), rng.uniform(knots[0], knots[-1], 20)
-    np.testing.assert_allclose(curve.inverse(curve(at)), at, atol=1e-9)
+    np.testing.assert_allclose(curve.inverse(curve.read(at).values), at, atol=1e-9)
     np.testing.assert_allclose(curve.inverse(values[[0, -1]] + [-1.0, 1.0]), knots[[0, -1]], atol=1e-12)
 
 
@@ -59,7 +59,7 @@ def test_columns_go_through_what_is_known_of_each(rng):
             continue
         curve, last = Monotone.through(knots[known], column[known]), knots[known][-1]
         inside = np.clip(at[:-1], knots[known][0], last)
-        expected = curve(inside) + np.maximum(at[:-1] - last, 0.0) * curve.slope(last)
+        expected = curve.read(inside).values + np.maximum(at[:-1] - last, 0.0) * curve.slopes[-1]
         np.testing.assert_allclose(found[:-1, c], expected, atol=1e-13)
     assert np.isnan(found[-1]).all()
     assert columns_through(knots, values, np.zeros(0)).shape == (0, 40)

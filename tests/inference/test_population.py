@@ -137,7 +137,7 @@ def test_a_row_that_is_open_to_one_side_is_sampled_there_too(reading):
         return np.maximum(theta, 0.0), (theta > 0)[..., None] * 1.0
 
     seen, noise = np.full((200, 1), reading), np.full((200, 1, 1), 0.1**2)
-    problem = population._Problem(seen, noise, 1.0 / noise, clipped)
+    problem = population._Problem(clipped, seen, noise)
     mean, spread = np.zeros(1), np.eye(1)
     draws = population._standard_draws(200, 1, 7)
     theta, covariance = population.modes(problem, mean, spread, np.full((200, 1), reading))

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
-from limbcli.inference.prediction import Differences, SolvedPoints, sampled, slopes_at
+from limbcli.inference.prediction import Differences, SolvedPoints, sampled
+from limbcli.inference.two_step_fit import CurveMatch
 
 KNOTS = np.linspace(1.0, 10.0, 10)
 
@@ -81,9 +82,8 @@ def test_sampled_derivative_follows_the_chain_rule(simulated, rng):
 
 
 def test_slopes_are_those_of_the_curve(simulated):
-    memory = SolvedPoints(simulated.curve(KNOTS, 0.008))
+    match = CurveMatch(SolvedPoints(simulated.curve(KNOTS, 0.008)), KNOTS, None)
     depth, step = np.array([4.0, 7.0]), 1e-4
     rise = simulated.force(depth + step, 0.008, 20.0, 3.0) - simulated.force(depth - step, 0.008, 20.0, 3.0)
-    np.testing.assert_allclose(
-        slopes_at(memory, KNOTS, depth, np.array([20.0, 3.0])), rise / (2 * step), rtol=0.02
-    )
+    found = match.sample(np.array([20.0, 3.0]), depth)
+    np.testing.assert_allclose(found.slopes, rise / (2 * step), rtol=0.02)

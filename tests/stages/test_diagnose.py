@@ -231,7 +231,7 @@ def test_an_error_is_that_of_the_site_at_which_it_happened(tmp_path, monkeypatch
         def prepare(case, site, effects, **_):
             if site.name == name:
                 raise MeasurementError("no levels", where="p10/levels.csv", fix="give them")
-            return SimpleNamespace(close=lambda: None, curves=None)
+            return SimpleNamespace(simulations=SimpleNamespace(close=lambda: None), curves=None)
 
         return prepare
 

@@ -167,7 +167,7 @@ def test_the_truth_tells_parameters_as_they_are_hidden_not_as_the_effects_own_mo
     left = 2.0 * times * -np.expm1(-1.0 / times) * np.exp(-held / times)  # of a step of 2 N in 1 s
     assert shown("viscoelasticity=0.3").force[1] == pytest.approx(2.0 + share @ left)
     model = block_model()
-    reported = 1.0 + layer_share(model, 0.0, skin["skin_thickness_mm"]) * np.expm1(skin["log_skin_ratio"])
+    reported = 1.0 + layer_share(model, skin["skin_thickness_mm"]) * np.expm1(skin["log_skin_ratio"])
     assert ground(hide("skin-layer=2.3").in_model(model)) == pytest.approx(ground(model) * reported)
     (law,) = [each for each in _materials(hide("anisotropy").in_model(model)) if "alpha" in each.parameters]
     assert law.parameters["alpha"] == fibres["fibre_exponent"]

@@ -36,18 +36,18 @@ def site(name: str, *, speeds: bool, layers: bool) -> SiteMeasurement:
 
 def test_sites_without_speeds_or_layers_have_panels_that_say_so(monkeypatch):
     sites = [site("a", speeds=True, layers=True), site("b", speeds=False, layers=False)]
-
-    def predict(k: int) -> SitePrediction:
-        layers = sites[k].layers.thickness
-        return SitePrediction(FORCE**0.5, FORCE, FORCE, sites[k].log_speed, FORCE, layers, layers)
-
+    layers = [each.layers.thickness for each in sites]
+    predicted = [
+        SitePrediction(FORCE**0.5, FORCE, FORCE, each.log_speed, FORCE, thick, thick)
+        for each, thick in zip(sites, layers, strict=True)
+    ]
     kept: list[Figure] = []
     monkeypatch.setattr(joint_picture, "save_figure", lambda figure, path: kept.append(figure))
     writer = SimpleNamespace(file=lambda key, name: name)
     found = SimpleNamespace(profiles={}, best=np.zeros(0), threshold=3.84)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        joint_picture.draw_joint(sites, predict, found, writer)
+        joint_picture.draw_joint(sites, predicted, found, writer)
     words = [[each.get_text() for each in axes.texts] for axes in kept[0].axes]
     assert words == [[], [], [], [], ["no speeds enter"], ["no layers enter"]]
     assert not len(kept[0].axes[4].get_xticks())

@@ -72,8 +72,8 @@ def prepared_only(patch: pytest.MonkeyPatch) -> None:
         read._working_mesh()
         curves = SimpleNamespace(changes=SimpleNamespace(not_simulated={}), site=None)
         return SimpleNamespace(
-            site=site, notes=read.notes, simulations=SimpleNamespace(in_part={}, n_solves=0),
-            interventions=[], curves=curves, close=lambda: None,
+            site=site, notes=read.notes, interventions=[], curves=curves,
+            simulations=SimpleNamespace(in_part={}, n_solves=0, close=lambda: None),
         )  # fmt: skip
 
     model = SimpleNamespace(not_simulated=set(), settle_noise=lambda: None)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from limbcli.diagnosis.explanations import decisions
 from limbcli.effects.curves import Curves, force_at
-from limbcli.effects.reading import Reading, borne_at_zero, true_depth
+from limbcli.effects.reading import Reading, borne_at_zero, relaxed, true_depth
 from limbcli.measurement.indentation import Levels, Trace
 from limbcli.model import Array, IntArray
 
@@ -74,19 +74,12 @@ class HeldForces:
     def force(self, curves: Curves, reading: Reading) -> Array:
         """Prediction of the recorded force (n,) in N on the grid by a model."""
         depth = true_depth(curves, self.depth, reading)
-        elastic = force_at(curves, depth)
-        force = elastic.copy()
-        for share, tau in reading.prony:
-            force += share * relaxing(elastic, tau)
-        pressed = np.maximum(depth, 0.0)
-        for drainage, rate in reading.draining:
-            memory = [relaxing(pressed, tau) for tau in drainage.times(rate).tolist()]
-            force = force * drainage.left(pressed, np.column_stack(memory), rate)
+        force = relaxed(force_at(curves, depth), curves, depth, reading, relaxing)
         return reading.force_gain * (force - borne_at_zero(curves, reading)) + reading.force_zero
 
 
-def relaxing(elastic: Array, tau: float) -> Array:
-    """Integral of exp(-(t - s)/tau) dF_e (n,) on the grid, with F_e linear within each step.
+def relaxing(elastic: Array, tau: float, _rest: float = 0.0) -> Array:
+    """Integral of exp(-(t - s)/tau) dF_e (n,) on the grid, linear within each step and level before.
 
     >>> np.round(relaxing(np.array([0.0, 1.0, 1.0]), 0.25), 4)
     array([0.    , 0.6321, 0.2325])

@@ -229,12 +229,15 @@ def _model_direction(rows: SiteRows, log_force: Array, log_speed: Array) -> Arra
     return out
 
 
-def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array | None = None) -> Array:
+def depth_slopes(
+    protocol: Protocol, rows: SiteRows, *, map_slopes: Array | None = None,
+    layers: LayerReadings | None = None,
+) -> Array:  # fmt: skip
     """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
     maps from a model, `map_slopes` (n_levels, n_parts), where given.
 
     Depth and speeds are fitted as functions of the force, which has little error: regression over a depth
-    with errors would underestimate steep slopes.
+    with errors would underestimate steep slopes. Layers thin linearly in ln(1 + F/unit) of the smooth depth.
     """
     out = np.zeros(len(rows))
     smooth = SmoothDepth.through(protocol)
@@ -250,21 +253,12 @@ def depth_slopes(protocol: Protocol, rows: SiteRows, y: Array, map_slopes: Array
             place = smooth.place(protocol.force[rows.level[mine]])
             n_places = len(np.unique(place))
             if n_places >= 2:
-                curve = np.polynomial.Polynomial.fit(place, y[mine], 2 if n_places > 4 else 1)
+                curve = np.polynomial.Polynomial.fit(place, rows.y[mine], 2 if n_places > 4 else 1)
                 out[mine] = curve.deriv()(place) / smooth.rate
-    return out
-
-
-def layer_slopes(layers: LayerReadings | None, protocol: Protocol, place: Array, rows: SiteRows) -> Array:
-    """Derivative of each datum with depth (n,), 0 for other channels.
-
-    place (n_levels,) : ln(1 + F/unit) of the smooth depth, in which layers thin linearly
-    """
-    out = np.zeros(len(rows))
     for layer, members in _members(rows):
         assert layers is not None
         levels = rows.level[members]
-        x = np.r_[0.0, place[levels]]
+        x = np.r_[0.0, smooth.place(protocol.force[levels])]
         depth = np.r_[0.0, np.maximum(protocol.depth[levels], 0.0)]
         thickness = np.r_[layers.thickness[0, layer], rows.y[members]]
         span = float(x @ x)

@@ -17,7 +17,6 @@ from limbcli.diagnosis.data.noise_parts import (
     KnownErrors,
     MapNoise,
     depth_slopes,
-    layer_slopes,
     noise_parts,
 )
 from limbcli.diagnosis.data.rows import (
@@ -63,7 +62,10 @@ class SiteData:
     rows: SiteRows
     data: Data
     slope: Array
-    protocol: Protocol
+
+    @property
+    def protocol(self) -> Protocol:
+        return self.seen.protocol
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -97,8 +99,7 @@ class SiteData:
         )
         direction = np.where(first != 0.0, (more - less) / (2 * _STRAIN_STEP), 0.0)
         deviation = next((each.strain for each in self.model.errors if each.name == STRAIN), 0.0)
-        moved = deviation * direction
-        noise, new = self.data.noise, common(STRAIN, moved, source=part.source)
+        noise, new = self.data.noise, common(STRAIN, deviation * direction, source=part.source)
         parts = (new if each is part else each for each in noise.parts)
         return replace(self, data=replace(self.data, noise=noise.with_parts(parts)))
 
@@ -169,7 +170,7 @@ class SiteData:
             return found
         depth = true_depth(curves, self.protocol.depth, reading)
         elastic = force_at(curves, depth)
-        borne = relaxed(elastic, curves, depth, self.protocol, reading)
+        borne = relaxed(elastic, curves, depth, reading, self.protocol.remembered)
         wanted = (self.protocol.force - reading.force_zero) / reading.force_gain
         wanted = wanted + borne_at_zero(curves, reading)
         known = (depth > 0) & (elastic > _LEAST_N) & (borne > _LEAST_N) & (wanted > _LEAST_N)
@@ -210,8 +211,7 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
     """Stack the channels that this measurement has."""
     protocol, noise, windows = seen.protocol, seen.noise, seen.windows
     smooth, rows = SmoothDepth.through(protocol), measured_rows(seen)
-    slope = depth_slopes(protocol, rows, rows.y, model.map_slopes)
-    slope = slope + layer_slopes(seen.layers, protocol, smooth.place(protocol.force), rows)
+    slope = depth_slopes(protocol, rows, map_slopes=model.map_slopes, layers=seen.layers)
     strain = smooth.at(protocol.force) / model.thickness
     of_maps = None if seen.maps is None else map_noise(windows, seen.maps, noise, strain)
     parts = noise_parts(seen, rows, slope, maps=of_maps, model=model)
@@ -221,9 +221,7 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
         series=tuple(f"{row.channel} {row.part}" if row.part >= 0 else row.channel for row in rows),
         place=_place(rows, windows),
     )  # fmt: skip
-    return SiteData(
-        name=name, seen=seen, model=model, rows=rows, data=data, slope=slope, protocol=protocol
-    )  # fmt: skip
+    return SiteData(name=name, seen=seen, model=model, rows=rows, data=data, slope=slope)
 
 
 def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:

@@ -135,7 +135,7 @@ class Windows:
         F = np.where(np.asarray(np.isfinite(F).all(axis=(1, 2)))[:, None, None], F, np.eye(3))
         back = np.linalg.solve(F, np.broadcast_to(offsets.T, (len(F), 3, len(offsets))))
         blurred = np.nan_to_num(at)[:, None, :] + np.swapaxes(back, 1, 2)
-        return ScannerView(averages, Places(blurred, model), weight, self)
+        return ScannerView(averages, Places(blurred, model), weight, self.log_means_of)
 
     def _blur(self) -> tuple[Array, Array]:
         """Offsets (27, 3) in mm and weights (27,) of the quadrature points that one pixel averages."""

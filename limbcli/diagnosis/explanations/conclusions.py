@@ -141,11 +141,8 @@ def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.G
         mean, J = proposal.seen[each.explanation]
         covariance = proposal.covariance + J @ each.posterior.covariance @ J.T
         means.append(mean + J @ each.posterior.step)
-        roots.append(
-            np.linalg.cholesky(
-                covariance + 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
-            )
-        )
+        nugget = 1e-12 * np.trace(covariance) / len(covariance) * np.eye(len(covariance))
+        roots.append(np.linalg.cholesky(covariance + nugget))
     after, left = 0.0, 0.0
     for k, weight in enumerate(weights):
         drawn = means[k] + rng.standard_normal((_DRAWS, len(means[k]))) @ roots[k].T

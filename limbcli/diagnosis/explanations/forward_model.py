@@ -121,16 +121,12 @@ class Priors:
         >>> found.precision.round(3).tolist(), found.shift.tolist(), found.high.tolist()
         ([0.25, 0.393], [-1.0, 0.0], [inf, 2.0])
         """
-        precision, shift = np.zeros(len(priors)), np.zeros(len(priors))
-        for k, each in enumerate(priors):
-            if math.isfinite(each.deviation):
-                precision[k], shift[k] = each.deviation**-2, each.mean - values[k]
-            else:
-                precision[k] = 2 * math.pi / (each.high - each.low) ** 2
-        low, high = (np.array([getattr(each, end) for each in priors]) - values for end in ("low", "high"))
-        return Priors(
-            precision, shift, low, high, np.array([math.isfinite(each.deviation) for each in priors])
-        )
+        rows = [(each.mean, each.deviation, each.low, each.high) for each in priors]
+        mean, deviation, low, high = np.array(rows).reshape(-1, 4).T
+        normal = np.isfinite(deviation)
+        precision = np.where(normal, deviation**-2.0, 2 * math.pi / (high - low) ** 2)
+        shift = np.where(normal, mean - values, 0.0)
+        return Priors(precision, shift, low - values, high - values, normal)
 
 
 @dataclass(frozen=True, eq=False)

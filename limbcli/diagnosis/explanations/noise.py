@@ -17,7 +17,7 @@ Robinson 1991, Stat Sci 6:15 (best linear unbiased prediction of the common unkn
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -109,8 +109,7 @@ class NoisePart:
 
     def scaled(self, share: float) -> NoisePart:
         """The part with its standard deviation multiplied by an estimated factor."""
-        direction = None if self.direction is None else share * self.direction
-        return NoisePart(self.name, share**2 * self.covariance, "estimated", direction)
+        return replace(self.times(np.full(len(self.covariance), share)), source="estimated")
 
     def times(self, factors: Array) -> NoisePart:
         """The part with the standard deviation of each datum multiplied by its factor (n,)."""
@@ -128,6 +127,10 @@ class Noise:
     @cached_property
     def covariance(self) -> Array:
         return np.asarray(sum(part.covariance for part in self.parts))
+
+    @cached_property
+    def whitener(self) -> Whitener:
+        return Whitener.of(self.covariance)
 
     @property
     def names(self) -> tuple[str, ...]:

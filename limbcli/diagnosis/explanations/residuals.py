@@ -89,12 +89,8 @@ def checked(data: Data, state: LinearFit, whiten: Whitener, rng: np.random.Gener
     order = np.argsort(np.argsort(-drawn, axis=0), axis=0)
     smallest = np.sort(((order + 1) / (n + 1)).min(axis=1))
     adjusted = (1 + np.searchsorted(smallest, alone, side="right")) / (n + 1)
-    return Check(
-        tuple(
-            Part(name, float(values[k]), nu[k], float(alone[k]), float(min(adjusted[k], 1.0)))
-            for k, name in enumerate(names)
-        )
-    )
+    table = zip(names, values.tolist(), nu, alone.tolist(), np.minimum(adjusted, 1.0).tolist(), strict=True)
+    return Check(tuple(Part(*row) for row in table))
 
 
 def _statistics(
@@ -153,8 +149,7 @@ def roughness(
     n = len(order)
     columns = [state.jacobian]
     for mask in series.values():
-        x = order[mask]
-        t = 2 * (x - x.min()) / max(float(np.ptp(x)), 1e-12) - 1
+        t = _scaled(order, mask)[mask]
         degree = min(_DEGREE, len(np.unique(t)) - 1)
         smooth = np.zeros((n, degree + 1))
         smooth[mask] = np.polynomial.legendre.legvander(t, degree)
@@ -264,7 +259,7 @@ def force_jump(data: Data, base: Fitted, *, explained: float) -> ForceJump | Non
     among those between all levels: its p is multiplied by their number, and 2 ln(their number) is taken off
     its chi2.
     """
-    whiten = Whitener.of(data.noise.covariance)
+    whiten = data.noise.whitener
     fit = base.whitened(data.y, whiten)
     found: list[ForceJump] = []
     mask = data.channels().get("force", np.zeros(len(data), dtype=bool))

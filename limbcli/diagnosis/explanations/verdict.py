@@ -40,7 +40,6 @@ from limbcli.diagnosis.explanations.residuals import (
 )
 from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
 from limbcli.errors import LimbError
-from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT, Progress
 
 _MOST_COMPARED = 6  # explanations compared in choosing the next measurement
@@ -76,7 +75,7 @@ class _Run:
         model = self.forward_model
         facts = {each.name: each for each in model.candidates}
         base = model.fit((), {})
-        whiten = Whitener.of(model.data.noise.covariance)
+        whiten = model.data.noise.whitener
         state = base.whitened(model.data.y, whiten)
         if state.nu >= 1:
             self.rough = roughness(state, whiten, series=model.data.all_series(), order=model.data.order)
@@ -200,7 +199,7 @@ class _Run:
         held_out = over_shared([held_out_error(data, each.fitted) for each in stages], data.blocks)
         alone = (estimates([(1.0, each)], imaged=bool(data.imaged.any())) for each in stages[:-1])
         values = [*alone, self._averaged(stages[-1])]
-        whiten, found = Whitener.of(data.noise.covariance), []
+        whiten, found = data.noise.whitener, []
         for each, held, own in zip(stages, held_out, values, strict=True):
             state = each.fitted.whitened(data.y, whiten, as_it_stands=True)
             z = (data.y - each.fitted.prediction) / data.deviation

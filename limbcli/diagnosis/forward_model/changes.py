@@ -18,7 +18,7 @@ from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.effects.curves import Curves, gaps_filled
 from limbcli.effects.effect import Effect, Parameter, Theta, point_name
-from limbcli.effects.ingredients import Ingredients, touches_loads
+from limbcli.effects.ingredients import Ingredients, stiffness_fields, touches_loads
 from limbcli.effects.stiffness_places import Places
 from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
@@ -166,10 +166,8 @@ class Changes:
             if _is_known(moved, known):
                 places.append(times)
                 values.append(gaps_filled(moved))
-        if len(places) < 2 and problem is not None:
-            raise problem
         if len(places) < 2:
-            raise SolveError(
+            raise problem or SolveError(
                 f"no wave can propagate, or the law has no solution, with {p.name} near {p.start:g}",
                 where=f"effect {effect.name}", fix="check the deepest level",
             )  # fmt: skip
@@ -225,17 +223,16 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Ingredients) -> Ar
     """
     assert curves.log_line is not None
     below = np.exp(curves.log_line)
-    found = [each for each in ingredients if each[0].stiffness is not None]
-    if not found:
+    fields = stiffness_fields(ingredients)
+    if not fields:
         return np.zeros_like(below)
     rest = below[0]
     end = curves.thickness if curves.thickness > rest[-1] else _BEYOND * rest[-1]
     z = (np.arange(_SAMPLES) + 0.5) / _SAMPLES * end
     places = Places(np.column_stack([np.zeros((_SAMPLES, 2)), -z]), model)
     softer = np.ones(_SAMPLES)
-    for effect, theta in found:
-        assert effect.stiffness is not None
-        softer = softer / np.maximum(effect.stiffness(places, theta), 1e-6)
+    for each in fields:
+        softer = softer / np.maximum(each(places), 1e-6)
     knots = np.r_[0.0, rest, end]
     lost = np.column_stack([np.zeros(len(below)), rest - below, curves.depth])
     of_part = np.searchsorted(knots, z, side="right") - 1

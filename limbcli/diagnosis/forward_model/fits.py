@@ -107,14 +107,13 @@ class Fits:
     def fitted(self, x: Array, model: AtPoints) -> Fitted:
         """The fit at these parameters: ln c, ln m, and the effects'."""
         predict, (explanation, label) = self.predictions, model.key
-        slots, sizes = predict.slots(explanation), x[2:].tolist()
-        values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1]))}
-        values |= {slot.name: size for slot, size in zip(slots, sizes, strict=True)}
+        slots, sizes = predict.slots(explanation), predict.named(x, explanation)
+        values = {"c_kpa": float(kpa_from_mpa(float(np.exp(x[0])))), "m": float(np.exp(x[1])), **sizes}
         values |= {k: float(v) for point in model.points for k, v in point.items()}
         return Fitted(
             explanation, predict.predict(x, model), predict.jacobian(x, model), base_names=("c", "m"),
-            values=values, effect_names=tuple(s.name for s in slots),
-            at_bound=tuple(m for s, v in zip(slots, sizes, strict=True) if (m := s.on_bound(v))),
+            values=values, effect_names=tuple(sizes),
+            at_bound=tuple(words for each in slots if (words := each.on_bound(sizes[each.name]))),
             point=label, without=self._without_approximate(x, model),
             priors=Priors.about(x, predict.priors(explanation)),
             amplification=predict.amplification(x, model),
@@ -128,8 +127,8 @@ class Fits:
         kept = model.only(k for k, each in enumerate(effects) if each.kind != "tissue" and not each.solves)
         if len(kept.explanation) == len(effects):
             return None
-        known = dict(zip([s.name for s in predict.slots(model.explanation)], x[2:].tolist(), strict=True))
-        sizes = [known[s.name] for s in predict.slots(kept.explanation)]
+        known = predict.named(x, model.explanation)
+        sizes = [known[slot.name] for slot in predict.slots(kept.explanation)]
         return predict.predict(np.array([*x[:2], *sizes]), kept)
 
     def _starts(self, model: AtPoints, start: Mapping[str, float]) -> list[Array]:
@@ -154,8 +153,8 @@ class Fits:
             rest = model.without(k)
             if (end := self._ends.get(rest.key)) is None:
                 continue
-            slots, of_rest = (self.predictions.slots(each.explanation) for each in (model, rest))
-            known = dict(zip([s.name for s in of_rest], end[2:], strict=True))
+            known = self.predictions.named(end, rest.explanation)
+            slots = self.predictions.slots(model.explanation)
             sizes = [known.get(s.name, 0.9 * s.parameter.null + 0.1 * s.parameter.start) for s in slots]
             found.append(np.array([*end[:2], *sizes]))
         return found

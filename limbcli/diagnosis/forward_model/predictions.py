@@ -22,7 +22,6 @@ from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.effects.reading import Reading
 from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
-from limbcli.numbers.whitening import Whitener
 
 NOTHING = AtPoints()
 M_BOUNDS = (1.0, 20.0)
@@ -81,10 +80,8 @@ class Predictions:
 
     def __init__(self, sites: Sequence[SiteCurves]):
         self.sites = tuple(sites)
-        channels = {channel for each in self.sites for channel in each.site.channels}
-        self.effects: dict[str, Effect] = {
-            name: each.measured_by(channels) for name, each in sites[0].effects.items()
-        }
+        self.channels = {channel for each in self.sites for channel in each.site.channels}
+        self.effects = {name: each.measured_by(self.channels) for name, each in sites[0].effects.items()}
         self.slots, self.priors = cache(self._slots_of), cache(self._priors_of)  # for every prediction
         self._join()
 
@@ -103,7 +100,7 @@ class Predictions:
 
     def _join(self) -> None:
         self.data = joined([each.site for each in self.sites])
-        self.whiten = Whitener.of(self.data.noise.covariance)
+        self.whiten = self.data.noise.whitener
 
     @property
     def site(self) -> SiteData:
@@ -144,9 +141,13 @@ class Predictions:
         sizes = [values[slot.name] for slot in self.slots(fitted.explanation)]
         return np.array([np.log(values["c_kpa"] / 1e3), np.log(values["m"]), *sizes])
 
+    def named(self, x: Array, explanation: Explanation) -> dict[str, float]:
+        """The effects' parameters of a parameter vector, by their names in the fit."""
+        return dict(zip([slot.name for slot in self.slots(explanation)], x[2:].tolist(), strict=True))
+
     def values_of(self, x: Array, explanation: Explanation) -> tuple[float, float, list[dict[str, float]]]:
         """c (MPa), m, and the effect parameters of every site for a parameter vector."""
-        values = dict(zip([s.name for s in self.slots(explanation)], x[2:].tolist(), strict=True))
+        values = self.named(x, explanation)
         thetas = [self.theta(values, explanation, k) for k in range(len(self.sites))]
         return float(np.exp(x[0])), float(np.exp(x[1])), thetas
 
@@ -210,8 +211,7 @@ class Predictions:
         FitError, SolveError
             If an effect requires data that were not measured, a bone, or FEBio.
         """
-        has = {channel for each in self.sites for channel in each.site.channels}
-        has |= {"bone"} if all(each.thickness > 0 for each in self.sites) else set()
+        has = self.channels | ({"bone"} if all(each.thickness > 0 for each in self.sites) else set())
         for name in explanation:
             for each in self.sites:
                 if name in each.refused:

@@ -175,15 +175,12 @@ class SiteCurves:
             if self.effects[name].solves:
                 values = values + self.changes.of(self.effects[name], point)(theta)
         values = base + np.clip(values - base, -_MOST_CHANGE, _MOST_CHANGE)
-        others = plain.with_columns(values[:, 1:])
-        log_speed = others["log_speed"]
-        assert log_speed is not None
         force = np.concatenate([[0.0], np.exp(values[1:, 0])])
         times = c / self.simulations.c
         taller = 1.0 if self.correction is None else self.correction.thickness_ratio
         thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
-        log_speed = log_speed + 0.5 * np.log(times)
-        found = Curves(depth, force * times, log_speed, plain.window_depth, thickness, others["log_line"])
+        found = plain.with_table(depth, force * times, values[:, 1:])
+        found = replace(found, thickness=thickness, log_speed=found.log_speed + 0.5 * np.log(times))
         return found if self.penetration is None else self.penetration.without(found, force)
 
     def reading(self, c: float, model: AtPoints, theta: Theta) -> Reading:

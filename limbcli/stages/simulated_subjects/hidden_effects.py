@@ -169,7 +169,7 @@ def _fibres(model: LimbModel, theta: Theta) -> LimbModel:
 
 def _skin(model: LimbModel, theta: Theta) -> LimbModel:
     """Add a thinner skin with the same in-plane stiffness."""
-    return scaled(model, 1.0 + layer_share(model, 0.0, _SKIN_MM) * (_skin_ratio(theta) - 1.0))
+    return scaled(model, 1.0 + layer_share(model, _SKIN_MM) * (_skin_ratio(theta) - 1.0))
 
 
 def _skin_ratio(theta: Theta) -> float:
