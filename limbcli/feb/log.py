@@ -210,10 +210,7 @@ def _number(text: str) -> float:
 def read_log(path: Path) -> FebioLog:
     """Parse a log, complete or not.
 
-    Raises
-    ------
-    SolveError
-        If there is no file, or it is not a FEBio log (the message shows its last lines).
+    Raises SolveError if there is no file, or it is not a FEBio log (the message shows its last lines).
     """
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()

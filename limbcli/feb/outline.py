@@ -66,10 +66,7 @@ class Outline:
 def read_outline(path: Path) -> Outline:
     """Read the outline.
 
-    Raises
-    ------
-    CaseError
-        If the file is absent, is not XML, or is not a FEBio 4.0 model in mm-N-s.
+    Raises CaseError if the file is absent, is not XML, or is not a FEBio 4.0 model in mm-N-s.
     """
     root = open_model(path)
     if not is_native(root):
@@ -98,10 +95,8 @@ def read_outline(path: Path) -> Outline:
 def check_output(outline: Outline, path: Path) -> None:
     """Check that FEBio writes the model's records at converged times, and gives its contacts a force.
 
-    Raises
-    ------
-    CaseError
-        If it would write every iteration, or nothing at all, or elsewhere, or find no contact force.
+    Raises CaseError if it would write every iteration, or nothing at all, or elsewhere, or find no contact
+    force.
     """
     if outline.led_elsewhere:
         raise CaseError(

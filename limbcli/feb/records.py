@@ -41,11 +41,8 @@ def read_records(path: Path, *, n_columns: int | None = None) -> Records:
     ----------
     n_columns : expected number if known; else that of the first block
 
-    Raises
-    ------
-    SolveError
-        If the file is missing, has no complete block, a block before the last one does not fit, or a value is
-        not a number.
+    Raises SolveError if the file is missing, has no complete block, a block before the last one does not fit,
+    or a value is not a number.
     """
     try:
         text = path.read_text(encoding="ascii", errors="replace")

@@ -252,10 +252,7 @@ class Boundary:
 def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: int = 10) -> Boundary:
     """Graded facets for a finely triangulated boundary; its features (edges of the cuts) stay sharp.
 
-    Raises
-    ------
-    MeshError
-        If the surface is not closed.
+    Raises MeshError if the surface is not closed.
     """
     _check_closed(fine)
     points, faces, labels = fine.points, fine.faces, face_labels(fine, domain)

@@ -66,10 +66,8 @@ class PhantomOptions:
 def refuse_unheard(plan: SynthOptions) -> None:
     """Refuse options of tissue and measurement for a case without measurements.
 
-    Raises
-    ------
-    CaseError
-        If any option of `plan` except the element (which case.toml also states) is not the default.
+    Raises CaseError if any option of `plan` except the element (which case.toml also states) is not the
+    default.
     """
     usual = SynthOptions()
     if replace(plan, seed=usual.seed, element=None) != usual:

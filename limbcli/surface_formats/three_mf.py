@@ -27,10 +27,7 @@ _DEFAULT_UNIT = "millimeter"
 def read_3mf(path: Path) -> tuple[Array, list[IntArray]]:
     """Points (n, 3) in the file's own unit, and the triangles (m, 3) of each body.
 
-    Raises
-    ------
-    OSError
-        If it is not a 3MF file, is damaged, or refers to an object that does not exist.
+    Raises OSError if it is not a 3MF file, is damaged, or refers to an object that does not exist.
     """
     try:
         with zipfile.ZipFile(path) as package:
@@ -48,10 +45,7 @@ def read_3mf(path: Path) -> tuple[Array, list[IntArray]]:
 def unit_of_3mf(path: Path) -> str:
     """The unit of length of a 3MF file.
 
-    Raises
-    ------
-    OSError
-        If it cannot be read.
+    Raises OSError if it cannot be read.
     """
     try:
         with zipfile.ZipFile(path) as package:

@@ -146,11 +146,8 @@ def _of_aop(path: Path, case: Case) -> list[str]:
 def read_surfaces(case: Case) -> tuple[dict[str, Triangles], dict[str, Path], list[str]]:
     """Skin and bones by name as given, the files named by the case, and what was left out of the skin.
 
-    Raises
-    ------
-    CaseError
-        If one cannot be read, its size is not that of a body in mm, there is no bone, or a bone lies in
-        another piece of the skin's file than the largest.
+    Raises CaseError if one cannot be read, its size is not that of a body in mm, there is no bone, or a bone
+    lies in another piece of the skin's file than the largest.
     """
     assert case.imaging.skin is not None
     names = names_of_files(case.imaging.bones)

@@ -48,10 +48,8 @@ class Hidden:
 def hide(text: str) -> Hidden:
     """The effect given by "force-zero=1.5" (value of the first parameter) or "skin-layer" (typical size).
 
-    Raises
-    ------
-    CaseError
-        If the effect is unknown or cannot be hidden, or the size is not a number within its bounds.
+    Raises CaseError if the effect is unknown or cannot be hidden, or the size is not a number within its
+    bounds.
     """
     name, _, size = text.partition("=")
     found = effect(name, option="--effect")
@@ -91,10 +89,8 @@ def in_order(hidden: Sequence[Hidden]) -> tuple[Hidden, ...]:
 def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None:
     """Refuse skin and fat as hidden effects if the mesh has separate `layers`.
 
-    Raises
-    ------
-    CaseError
-        If such an effect is among them: it acts at a depth at which the mesh has layers instead of tissue.
+    Raises CaseError if such an effect is among them: it acts at a depth at which the mesh has layers instead
+    of tissue.
     """
     found = [each.name for each in hidden if each.name in _BELOW_SKIN]
     if layers and found:
