@@ -291,14 +291,8 @@ def stretch(value: object) -> str | None:
     return None if value == "unknown" else number(*STRETCHES, "")(value)
 
 
-VOLUME_ENDINGS = (
-    ".nii",
-    ".nii.gz",
-    ".nrrd",
-    ".nhdr",
-    ".mha",
-    ".mhd",
-)  # suffixes of an MRI volume in one file
+# suffixes of an MRI volume in one file
+VOLUME_ENDINGS = (".nii", ".nii.gz", ".nrrd", ".nhdr", ".mha", ".mhd")
 
 SUBJECT = {
     "id": Key("text", plain_name, required=True),
@@ -458,11 +452,7 @@ LINER = {
 }
 TOP = {
     "format": Key("1", format_one),
-    "subject": Key("table", lambda _: None),
-    "files": Key("table", lambda _: None),
-    "imaging": Key("table", lambda _: None),
-    "probe": Key("table", lambda _: None),
-    "model": Key("table", lambda _: None),
+    **dict.fromkeys(("subject", "files", "imaging", "probe", "model"), Key("table", lambda _: None)),
     "site": Key("list of tables", lambda _: None),
     "socket": Key("table", lambda _: None),
 }
