@@ -22,7 +22,6 @@ from limbcli.feb.xml import LARGEST_ID, UNITS, VERSION, Tag, is_native, open_mod
 from limbcli.model import IntArray, LogRecord
 
 _NEVER, _MINOR = 0, 2  # output levels
-_KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,7 +59,8 @@ class Outline:
     @property
     def cell_ids(self) -> IntArray:
         """Ids (n_cells,) of the cells in the file, by number."""
-        return _ids(self.cells)
+        known = np.flatnonzero(self.cells >= 0)
+        return np.asarray(known[np.argsort(self.cells[known])])
 
 
 def read_outline(path: Path) -> Outline:
@@ -153,15 +153,6 @@ def _table(root: Tag, path: str) -> IntArray:
     return Numbering.of(ids)
 
 
-def _ids(table: IntArray) -> IntArray:
-    """
-    >>> _ids(np.array([-1, 2, -1, 0, 1]))
-    array([3, 4, 1])
-    """
-    known = np.flatnonzero(table >= 0)
-    return np.asarray(known[np.argsort(table[known])])
-
-
 def _materials(root: Tag) -> dict[int, dict[str, float]]:
     """Numeric parameters without a load curve or map; those of a material's parts are excluded."""
     found: dict[int, dict[str, float]] = {}
@@ -219,5 +210,5 @@ def _records(root: Tag, bodies: Mapping[str, str], nodes: IntArray, cells: IntAr
             listed_cells(tag, cells)
         fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
         body = logged_body(tag, bodies) if tag.name == "rigid_body_data" else None
-        records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]
+        records.append(LogRecord(tag.name.removesuffix("_data"), fields, tag.attribute("file"), body))  # type: ignore[arg-type]
     return tuple(records)

@@ -207,8 +207,7 @@ def _bodies(surface: Triangles, path: Path) -> dict[str, Triangles]:
             where=str(path),
             fix='add `bones = ["file", ...]` to [imaging], or give all bodies in one file',
         )
-    named = dict(zip(names_of_bodies(skin, bones), bones, strict=True))
-    return {SKIN: skin, **named}
+    return {SKIN: skin, **dict(zip(names_of_bodies(skin, bones), bones, strict=True))}
 
 
 def _single_bones(bones: Triangles) -> list[Triangles]:
@@ -221,9 +220,7 @@ def _whole(bone: Triangles) -> Triangles:
     """The bone without the inner surfaces of its cavities."""
     pieces = skin_and_bones(bone)
     kept = without_cavities(pieces)
-    if len(kept) == len(pieces):
-        return bone
-    return join(kept)
+    return bone if len(kept) == len(pieces) else join(kept)
 
 
 def _read(path: Path, imaging: Imaging) -> Triangles:

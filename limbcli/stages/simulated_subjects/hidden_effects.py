@@ -58,9 +58,8 @@ def hide(text: str) -> Hidden:
     if size:
         theta = {**theta, first.name: _number(size, found)}
     model, readings = _MODELS.get(name), _READINGS.get(name)
-    if model is None and readings is None and not found.solves:
-        raise _cannot(found)
-    if model is None and readings is None and (found.febio_only or found.kind == "numerical"):
+    is_its_own = found.solves and not found.febio_only and found.kind != "numerical"
+    if model is None and readings is None and not is_its_own:
         raise _cannot(found)
     in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
     waves = found.waves
@@ -119,19 +118,9 @@ def _number(size: str, found: Effect) -> float:
 
 
 def _cannot(found: Effect) -> CaseError:
-    able = [
-        *_READINGS,
-        *_MODELS,
-        "adipose-layer",
-        "inclusion",
-        "nonlinearity",
-        "contraction",
-        "friction",
-        "tilt",
-    ]
-    return CaseError(
-        f"{found.name} cannot be hidden in simulated data", where="--effect", fix=suggestion(found.name, able)
-    )
+    own = ("adipose-layer", "inclusion", "nonlinearity", "contraction", "friction", "tilt")
+    fix = suggestion(found.name, [*_READINGS, *_MODELS, *own])
+    return CaseError(f"{found.name} cannot be hidden in simulated data", where="--effect", fix=fix)
 
 
 # ---------------------------------------------------------------- in the tissue, otherwise parametrised
