@@ -87,12 +87,14 @@ def at_most(threads: int) -> int:
     return max(1, min(threads, allowed))
 
 
+def cores() -> int:
+    """Number of cores that the system lets this process use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
 def available_cores() -> int:
     """Number of cores that this process may use, within the limit set by a batch."""
-    try:
-        return at_most(len(os.sched_getaffinity(0)))
-    except AttributeError:  # not on this system
-        return at_most(os.cpu_count() or 1)
+    return at_most(cores())
 
 
 def shares(n_runs: int, cores: int) -> tuple[int, int]:

@@ -299,12 +299,18 @@ def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResul
     return found
 
 
+def result_if_there(out: Path, stage: str, *, site: str | None = None) -> StageResult | None:
+    """The result of a stage, or None if there is none that can be read."""
+    try:
+        return read_result(out, stage, site=site)
+    except CaseError:
+        return None
+
+
 def data_if_there(out: Path, stage: str, *, site: str | None = None) -> Mapping[str, Any]:
     """Data of a stage's result; empty if there is none that can be read."""
-    try:
-        return read_result(out, stage, site=site).data
-    except CaseError:
-        return {}
+    found = result_if_there(out, stage, site=site)
+    return {} if found is None else found.data
 
 
 @contextlib.contextmanager

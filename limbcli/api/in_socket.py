@@ -13,10 +13,6 @@ from limbcli.results import StageResult
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
 
 
-def _patches(found: StageResult) -> tuple[PatchPressure, ...]:
-    return tuple(PatchPressure(**each) for each in found.data["patches"])
-
-
 @dataclass(frozen=True, eq=False)
 class SocketResult(Result):
     """A limb in its socket. `table()` has one row per load and patch.
@@ -31,7 +27,9 @@ class SocketResult(Result):
     stage: ClassVar[str] = "socket"
     friction: float
     loads_n: tuple[float, ...]
-    patches: tuple[PatchPressure, ...] = field(metadata={"from": _patches})
+    patches: tuple[PatchPressure, ...] = field(
+        metadata={"from": lambda found: tuple(PatchPressure(**each) for each in found.data["patches"])}
+    )
 
     def rows(self) -> list[dict[str, Any]]:
         return [self._named(vars(each)) for each in self.patches]

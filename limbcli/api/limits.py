@@ -70,19 +70,12 @@ def within(
     )
     kind = numbers.Integral if whole else numbers.Real
     if isinstance(value, bool) or not isinstance(value, kind) or not math.isfinite(float(value)):
-        raise _wrong(
-            function, name, value, f"not {'a whole' if whole else 'a finite'} number", f"give {meant}"
-        )
+        what = f"not {'a whole' if whole else 'a finite'} number"
+        raise _wrong(function, name, value, what, f"give {meant}")
     least, most = -math.inf if low is None else low, math.inf if high is None else high
     if not least <= float(value) <= most:
-        raise _wrong(
-            function,
-            name,
-            value,
-            f"outside of {least:g} to {most:g}",
-            f"give {meant}",
-            shown=f"{float(value):g}",
-        )
+        what, shown = f"outside of {least:g} to {most:g}", f"{float(value):g}"
+        raise _wrong(function, name, value, what, f"give {meant}", shown=shown)
 
 
 def one_of(function: str, known: Iterable[str], name: str, value: object) -> None:

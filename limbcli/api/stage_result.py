@@ -5,7 +5,6 @@ from __future__ import annotations
 import html
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import Field, dataclass, field, fields, replace
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar, Generic, ParamSpec, Self, SupportsIndex, TypeVar, overload
 
@@ -207,11 +206,6 @@ class SiteResults(Tabular, Sequence[AnyResult], Generic[AnyResult]):
         return "\n".join(map(str, self.results))
 
 
-def by_site(kind: type[AnyResult], found: Iterable[StageResult]) -> SiteResults[AnyResult]:
-    """Results of this class, built from what a stage returned."""
-    return SiteResults(tuple(kind.of(each) for each in found))
-
-
 def one(kind: type[AnyResult]) -> Callable[[Callable[_Taken, StageResult]], Callable[_Taken, AnyResult]]:
     """Decorator of a public function whose stage has one result; see `public`."""
     return public(kind.of, kind.__name__)
@@ -221,4 +215,4 @@ def each_site(
     kind: type[AnyResult],
 ) -> Callable[[Callable[_Taken, Iterable[StageResult]]], Callable[_Taken, SiteResults[AnyResult]]]:
     """Decorator of a public function whose stage has a result of each site; see `public`."""
-    return public(partial(by_site, kind), f"SiteResults[{kind.__name__}]")
+    return public(lambda found: SiteResults(tuple(map(kind.of, found))), f"SiteResults[{kind.__name__}]")

@@ -138,7 +138,7 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
         "files": schema.FILES,
     }  # fmt: skip
     parts = _read_tables(raw, tables, reading)
-    imaging = _read_imaging(raw, parts, reading)
+    imaging = read_imaging(parts, reading, present="imaging" in raw)
     sites = _read_sites(raw.get("site"), reading, imaging)
     read_socket(raw, reading)
     found = reading.problems
@@ -165,13 +165,6 @@ def _read_tables(
     return parts
 
 
-def _read_imaging(
-    raw: Mapping[str, Any], parts: Mapping[str, Mapping[str, Any]], reading: CaseReading
-) -> Imaging:
-    limb = parts["subject"].get("limb")
-    return read_imaging(parts["imaging"], reading, present="imaging" in raw, limb=limb)
-
-
 def _assemble(
     folder: Path,
     raw: Mapping[str, Any],
@@ -180,17 +173,13 @@ def _assemble(
     sites: list[Site],
 ) -> Case:
     probe, model = parts["probe"], parts["model"]
+    sides = (float(probe[f"{name}_mm"]) for name in ("length", "width", "edge_radius"))
     return Case(
         folder=folder,
         subject=parts["subject"]["id"],
         limb=parts["subject"]["limb"],
         imaging=imaging,
-        probe=Probe(
-            name=probe["name"],
-            length=float(probe["length_mm"]),
-            width=float(probe["width_mm"]),
-            edge_radius=float(probe["edge_radius_mm"]),
-        ),
+        probe=Probe(probe["name"], *sides),
         model=ModelOptions(margin=float(model["margin_mm"]), element=model["element"]),
         sites=tuple(sites),
         raw=raw,
@@ -203,7 +192,7 @@ def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, lis
     reading.table({key: value for key, value in raw.items() if key == "format"}, schema.TOP, "case.toml")
     _check_format(raw, reading)
     parts = _read_tables(raw, {"subject": schema.SUBJECT, "imaging": schema.IMAGING}, reading)
-    imaging = _read_imaging(raw, parts, reading)
+    imaging = read_imaging(parts, reading, present="imaging" in raw)
     if errors_of(reading.problems):
         return None, reading.problems
     others = CaseReading.of(raw, folder)  # its problems are not of this reading

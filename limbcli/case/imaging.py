@@ -26,13 +26,12 @@ _FAULTY = Shape(nan, nan, nan, nan, nan)
 _WAYS = ("mri", "labels", "skin", "bodies", "shape")
 
 
-def read_imaging(
-    table: Mapping[str, Any], reading: CaseReading, *, present: bool, limb: str | None = None
-) -> Imaging:
+def read_imaging(parts: Mapping[str, Mapping[str, Any]], reading: CaseReading, *, present: bool) -> Imaging:
     """The sources of the geometry.
 
-    present : whether case.toml has the table at all; limb : the subject's
+    parts : the tables [subject] and [imaging]; present : whether case.toml has the latter at all
     """
+    table, limb = parts["imaging"], parts["subject"].get("limb")
     _contradictions(table, reading)
     if present and not any(table.get(key) for key in _WAYS):
         fix = 'add `mri = "folder or file"`, `labels = "file"`, `skin` and `bones`, `bodies`, or `shape`'

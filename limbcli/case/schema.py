@@ -452,11 +452,7 @@ LINER = {
 }
 TOP = {
     "format": Key("1", format_one),
-    "subject": Key("table", lambda _: None),
-    "files": Key("table", lambda _: None),
-    "imaging": Key("table", lambda _: None),
-    "probe": Key("table", lambda _: None),
-    "model": Key("table", lambda _: None),
+    **dict.fromkeys(("subject", "files", "imaging", "probe", "model"), Key("table", lambda _: None)),
     "site": Key("list of tables", lambda _: None),
     "socket": Key("table", lambda _: None),
 }

@@ -13,11 +13,8 @@ _LARGEST = 2**63  # TOML 1.0: integers of 64 bits
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a TOML file, with or without a byte-order mark.
 
-    Raises
-    ------
-    ValueError
-        If it is not UTF-8 text (UnicodeDecodeError) or not valid TOML, holds an integer of more than 64 bits,
-        or nests tables and lists too deeply.
+    Raises ValueError if it is not UTF-8 text (UnicodeDecodeError) or not valid TOML, holds an integer of more
+    than 64 bits, or nests tables and lists too deeply.
     """
     text = path.read_text(encoding="utf-8-sig")
     try:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,15 +42,16 @@ def batch_cases(
             report_error(failure.error, as_json=False)
         entries.append(_entry(*pair, outcome, expect=expect, as_json=json, progress=progress))
     if json:
-        emit_json([each.content for each in entries])
+        emit_json([content for content, _ in entries])
     if len(pairs) > 1:
         _index(out or default_out(cases[0]).parent, options.templates, progress, as_json=json)
-    failed = [each for each in entries if each.code]
+    failed = [(content["case"], failures) for content, failures in entries if failures]
     if failed:
         say(f"{len(failed)} of {len(entries)} cases failed:", to_stderr=True)
-        for each in failed:
-            say("\n".join(f"  {line}" for line in each.lines()), to_stderr=True)
-        raise typer.Exit(max(each.code for each in failed))
+        for case, failures in failed:
+            lines = [case, *(line for each in failures for line in _lines(each))]
+            say("\n".join(f"  {line}" for line in lines), to_stderr=True)
+        raise typer.Exit(max(each.error.exit_code for _, failures in failed for each in failures))
 
 
 def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json: bool) -> None:
@@ -68,22 +68,6 @@ def _index(folder: Path, templates: Path | None, progress: Progress, *, as_json:
         say(index.page)
 
 
-@dataclass(frozen=True)
-class _Entry:
-    """Outcome of one case for the final summary: content of --json, and failures."""
-
-    content: dict[str, Any]
-    failures: list[FailedStage]
-
-    @property
-    def code(self) -> int:
-        """Exit code of the case."""
-        return max((each.error.exit_code for each in self.failures), default=0)
-
-    def lines(self) -> list[str]:
-        return [str(self.content["case"]), *(line for each in self.failures for line in _lines(each))]
-
-
 def _lines(failure: FailedStage) -> list[str]:
     """Lines that describe a failure: stage and site, and its error."""
     error = failure.error
@@ -93,8 +77,8 @@ def _lines(failure: FailedStage) -> list[str]:
 
 def _entry(
     case: Path, target: Path, outcome: CaseOutcome, *, expect: bool, as_json: bool, progress: Progress
-) -> _Entry:
-    """What is told of a case, compared with its expected.toml if requested."""
+) -> tuple[dict[str, Any], list[FailedStage]]:
+    """What --json tells of a case and its failures, compared with its expected.toml if requested."""
     from limbcli.stages.batch_cases import expectations
 
     content = outcome.to_json() | {"case": str(case), "out": str(target)}
@@ -109,4 +93,4 @@ def _entry(
             say("".join(f"{each}\n" for each in found), end="")
     if not as_json and outcome.report:
         say(outcome.report)
-    return _Entry(content, failures)
+    return content, failures

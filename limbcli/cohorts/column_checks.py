@@ -281,14 +281,11 @@ def _contradictions(raw: RawTable, table: CohortTable, listed: Listed) -> list[P
 def _repeated(table: CohortTable) -> list[Problem]:
     """The same person, site and trial in more than one row."""
     first: dict[tuple[str, str, str], int] = {}
-    found = []
+    found, fix = [], "remove one of them, or number the repetitions in a column `trial`"
     for k, key in enumerate(zip(table.person, table.site, table.trial, strict=True)):
-        if key in first:
-            words = f"person {key[0]}, site {key[1]} is already in line {table.lines[first[key]]}"
-            fix = "remove one of them, or number the repetitions in a column `trial`"
+        if (before := first.setdefault(key, k)) != k:
+            words = f"person {key[0]}, site {key[1]} is already in line {table.lines[before]}"
             found.append(problem(words, table.path, fix, line=int(table.lines[k])))
-        else:
-            first[key] = k
     return found[:_SHOWN]
 
 
@@ -324,15 +321,10 @@ def _sexes(table: CohortTable) -> list[Problem]:
     words = sorted({each for each in table.sex.tolist() if each})
     if len(words) <= 2:
         return []
-    what = (
-        f"sex contains {len(words)} different words ({', '.join(map(repr, words[:_SHOWN]))}), so it is "
-        f"not used"
-    )
-    return [
-        problem(
-            what, table.path, "write one word for each of two, spelled the same in all rows", warning=True
-        )
-    ]
+    listed = ", ".join(map(repr, words[:_SHOWN]))
+    what = f"sex contains {len(words)} different words ({listed}), so it is not used"
+    fix = "write one word for each of two, spelled the same in all rows"
+    return [problem(what, table.path, fix, warning=True)]
 
 
 def _partly_given(table: CohortTable) -> list[Problem]:

@@ -95,18 +95,18 @@ def family_ends() -> str:
 
 def m_beyond(mean: Array) -> str | None:
     """In words, if the population's m is outside the family's range: then only the side is known."""
-    low, high = np.exp([LOW[EXPONENT], HIGH[EXPONENT]])
-    m = float(np.exp(mean[M]))
-    return f"below {low:.3g}" if m < low else f"above {high:.3g}" if m > high else None
+    return _beyond(mean[M], EXPONENT)
+
+
+def _beyond(ln_mean: float, k: int) -> str | None:
+    low, mean, high = np.exp([LOW[k], ln_mean, HIGH[k]])
+    return f"below {low:.3g}" if mean < low else f"above {high:.3g}" if mean > high else None
 
 
 def c_fat_beyond(mean: Array) -> str | None:
     """The same for c_fat / c_muscle."""
-    low, high = np.exp([LOW[RATIO], HIGH[RATIO]])
-    ratio = float(np.exp(mean[C_FAT] - mean[C_MUSCLE]))
-    if low <= ratio <= high:
-        return None
-    return f"below {low:.3g} c_muscle" if ratio < low else f"above {high:.3g} c_muscle"
+    beyond = _beyond(mean[C_FAT] - mean[C_MUSCLE], RATIO)
+    return beyond and f"{beyond} c_muscle"
 
 
 def fat_words(table: CohortTable, sites: Sequence[SiteEstimate]) -> str:
@@ -251,7 +251,6 @@ def people_apart(table: CohortTable, sites: list[SiteEstimate]) -> list[dict[str
     names = sorted(scores)
     z = person_scores([scores[each] for each in names])
     adjusted = holm(2 * ndtr(-np.abs(z)))
-    order = [k for k in np.argsort(adjusted, kind="stable") if adjusted[k] < _LEVEL]
     return [
         {
             "subject": names[k],
@@ -260,7 +259,8 @@ def people_apart(table: CohortTable, sites: list[SiteEstimate]) -> list[dict[str
             "z": float(z[k]),
             "p_adjusted": float(adjusted[k]),
         }
-        for k in order
+        for k in np.argsort(adjusted, kind="stable")
+        if adjusted[k] < _LEVEL
     ]
 
 

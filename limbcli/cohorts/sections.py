@@ -32,10 +32,8 @@ def population(data: Data) -> Reportlet:
             value = own["population"][key]
             first = (Cell(f"{site} ({own['n_rows']} rows)", lead=True, down=3),) if k == 0 else ()
             interval = f"{significant(value['low'])} to {significant(value['high'])}"
-            spread = (
-                f"×/÷ {value['spread_factor']:.2f} "
-                f"({_factor(value['spread_of_ln_low'])} to {_factor(value['spread_of_ln_high'])})"
-            )
+            low, high = (math.exp(value[f"spread_of_ln_{end}"]) for end in ("low", "high"))
+            spread = f"×/÷ {value['spread_factor']:.2f} ({low:.2f} to {high:.2f})"
             middle = cell(value["geometric_mean"], unit=unit)
             if value["beyond_family"]:
                 middle = Cell(value["beyond_family"], reason="the family ends there")
@@ -61,10 +59,6 @@ def population(data: Data) -> Reportlet:
         "the readings carry little "
         "information about that parameter, and a person’s value is mostly the population’s",
     )
-
-
-def _factor(ln: float) -> str:
-    return f"{math.exp(ln):.2f}"
 
 
 def standing_out(data: Data) -> Reportlet:

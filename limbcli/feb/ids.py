@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from limbcli.errors import CaseError
-from limbcli.model import Curve, ElementMap, LimbModel, Material, NodeMap, Step
+from limbcli.model import Curve, ElementMap, LimbModel, Material, NodeMap, Step, Value
 
 _TIME_DIGITS = 12
 _Map = TypeVar("_Map", ElementMap, NodeMap)
@@ -54,19 +54,14 @@ class Ids:
 def give_ids(model: LimbModel) -> Ids:
     """Assign ids to all parts; the must-points of each step become a separate load curve."""
     names = [*model.materials, *(body.name for body in model.bodies)]
-    if len(set(names)) != len(names):
-        raise CaseError(
-            f"materials and rigid bodies share a name: {names}",
-            where="model",
-            fix="name each of them differently",
-        )
     contacts = [contact.name for contact in model.contacts]
-    if len(set(contacts)) != len(contacts):
-        raise CaseError(
-            f"contacts share a name, by which their surfaces are found: {contacts}",
-            where="model",
-            fix="name each of them differently",
-        )
+    for what, several in (
+        ("materials and rigid bodies share a name", names),
+        ("contacts share a name, by which their surfaces are found", contacts),
+    ):
+        if len(set(several)) != len(several):
+            fix = "name each of them differently"
+            raise CaseError(f"{what}: {several}", where="model", fix=fix)
     curves = dict(model.curves)
     must_curves: list[str | None] = []
     start = 0.0
@@ -110,19 +105,18 @@ def _counted(name: str) -> Iterator[str]:
 def element_maps(model: LimbModel) -> dict[str, ElementMap]:
     """All element maps of all laws by name; two different maps must not share a name."""
     found: dict[str, ElementMap] = {}
-
-    def visit(material: Material) -> None:
-        for value in material.parameters.values():
-            if isinstance(value, ElementMap):
-                _add(found, value)
-        for part in material.parts:
-            visit(part)
-
-    for material in model.materials.values():
-        visit(material)
-    if model.fibres is not None:
-        _add(found, model.fibres)
+    values = [each for material in model.materials.values() for each in parameter_values(material)]
+    for value in (*values, model.fibres):
+        if isinstance(value, ElementMap):
+            _add(found, value)
     return found
+
+
+def parameter_values(material: Material) -> Iterator[Value]:
+    """Of a law and of all its parts."""
+    yield from material.parameters.values()
+    for part in material.parts:
+        yield from parameter_values(part)
 
 
 def node_maps(model: LimbModel) -> dict[str, NodeMap]:

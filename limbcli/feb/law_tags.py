@@ -9,9 +9,12 @@ between them.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeVar
 
 from limbcli.materials import LAWS
+from limbcli.model import Array
 
+_Number = TypeVar("_Number", float, Array)
 _PRONY = (("g0", "g0"), *((f"{letter}{k}", f"{letter}{k}") for k in range(1, 7) for letter in "gt"))
 
 
@@ -71,8 +74,8 @@ def tag_of_febio(material: str) -> LawTag | None:
     return next((each for each in law_tags() if each.febio == material), None)
 
 
-def lame(young: float, poisson: float) -> tuple[float, float]:
-    """(mu, lambda) of (E, nu).
+def lame(young: _Number, poisson: _Number) -> tuple[_Number, _Number]:
+    """(mu, lambda) of (E, nu), numbers or arrays of them.
 
     >>> lame(3.0, 0.5 - 0.25)
     (1.2, 1.2)
@@ -80,8 +83,8 @@ def lame(young: float, poisson: float) -> tuple[float, float]:
     return young / (2 * (1 + poisson)), young * poisson / ((1 + poisson) * (1 - 2 * poisson))
 
 
-def young(mu: float, lam: float) -> tuple[float, float]:
-    """(E, nu) of (mu, lambda).
+def young(mu: _Number, lam: _Number) -> tuple[_Number, _Number]:
+    """(E, nu) of (mu, lambda), numbers or arrays of them.
 
     >>> young(1.2, 1.2)
     (3.0, 0.25)

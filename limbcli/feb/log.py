@@ -10,9 +10,6 @@ from pathlib import Path
 from typing import Literal, NoReturn
 
 from limbcli.errors import SolveError
-from limbcli.feb.records import Records, read_records
-
-__all__ = ["FebioLog", "LogReader", "Records", "check_complete", "read_log", "read_records"]
 
 _LAST_LINES = 12
 _STATISTICS = "N O N L I N E A R"
@@ -210,10 +207,7 @@ def _number(text: str) -> float:
 def read_log(path: Path) -> FebioLog:
     """Parse a log, complete or not.
 
-    Raises
-    ------
-    SolveError
-        If there is no file, or it is not a FEBio log (the message shows its last lines).
+    Raises SolveError if there is no file, or it is not a FEBio log (the message shows its last lines).
     """
     try:
         lines = path.read_text(encoding="utf-8", errors="replace").splitlines()
@@ -252,12 +246,8 @@ def check_complete(log: FebioLog, path: Path, *, end_time: float | None = None) 
     if log.ending == "error":
         _fail(log, path, f"FEBio stopped with an error at time {reached:g}", reached)
     if log.ending == "none":
-        _fail(
-            log,
-            path,
-            f"FEBio's log ends abruptly at time {reached:g}: the run was stopped or crashed",
-            reached,
-        )
+        what = f"FEBio's log ends abruptly at time {reached:g}: the run was stopped or crashed"
+        _fail(log, path, what, reached)
     if end_time is not None and abs(reached - end_time) > _TIME_TOLERANCE * max(1.0, end_time):
         _fail(log, path, f"FEBio ended at time {reached:g} and not at {end_time:g}", reached)
 

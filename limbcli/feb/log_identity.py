@@ -78,10 +78,7 @@ def check_belongs(log: Path, feb: Path, outline: Outline, *, by_mark: bool = Fal
 
     by_mark : only the mark counts, as in a run that was given one
 
-    Raises
-    ------
-    SolveError
-        If the log belongs to another model, or does not identify its model.
+    Raises SolveError if the log belongs to another model, or does not identify its model.
     """
     with log.open(encoding="utf-8", errors="replace") as stream:
         echo = read_echo(line.rstrip("\r\n") for line in itertools.islice(stream, _HEAD_LINES))

@@ -22,7 +22,6 @@ from limbcli.feb.xml import LARGEST_ID, UNITS, VERSION, Tag, is_native, open_mod
 from limbcli.model import IntArray, LogRecord
 
 _NEVER, _MINOR = 0, 2  # output levels
-_KINDS = {"rigid_body_data": "rigid_body", "node_data": "node", "element_data": "element"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -60,16 +59,14 @@ class Outline:
     @property
     def cell_ids(self) -> IntArray:
         """Ids (n_cells,) of the cells in the file, by number."""
-        return _ids(self.cells)
+        known = np.flatnonzero(self.cells >= 0)
+        return np.asarray(known[np.argsort(self.cells[known])])
 
 
 def read_outline(path: Path) -> Outline:
     """Read the outline.
 
-    Raises
-    ------
-    CaseError
-        If the file is absent, is not XML, or is not a FEBio 4.0 model in mm-N-s.
+    Raises CaseError if the file is absent, is not XML, or is not a FEBio 4.0 model in mm-N-s.
     """
     root = open_model(path)
     if not is_native(root):
@@ -98,10 +95,8 @@ def read_outline(path: Path) -> Outline:
 def check_output(outline: Outline, path: Path) -> None:
     """Check that FEBio writes the model's records at converged times, and gives its contacts a force.
 
-    Raises
-    ------
-    CaseError
-        If it would write every iteration, or nothing at all, or elsewhere, or find no contact force.
+    Raises CaseError if it would write every iteration, or nothing at all, or elsewhere, or find no contact
+    force.
     """
     if outline.led_elsewhere:
         raise CaseError(
@@ -156,15 +151,6 @@ def _table(root: Tag, path: str) -> IntArray:
     if len(ids) and not 1 <= ids.min() <= ids.max() <= LARGEST_ID:
         ids = np.array([Tag(each, root.file).id_of() for each in rows], dtype=np.int64)
     return Numbering.of(ids)
-
-
-def _ids(table: IntArray) -> IntArray:
-    """
-    >>> _ids(np.array([-1, 2, -1, 0, 1]))
-    array([3, 4, 1])
-    """
-    known = np.flatnonzero(table >= 0)
-    return np.asarray(known[np.argsort(table[known])])
 
 
 def _materials(root: Tag) -> dict[int, dict[str, float]]:
@@ -224,5 +210,5 @@ def _records(root: Tag, bodies: Mapping[str, str], nodes: IntArray, cells: IntAr
             listed_cells(tag, cells)
         fields = tuple(name.strip() for name in tag.attribute("data").split(";"))
         body = logged_body(tag, bodies) if tag.name == "rigid_body_data" else None
-        records.append(LogRecord(_KINDS[tag.name], fields, tag.attribute("file"), body))  # type: ignore[arg-type]
+        records.append(LogRecord(tag.name.removesuffix("_data"), fields, tag.attribute("file"), body))  # type: ignore[arg-type]
     return tuple(records)

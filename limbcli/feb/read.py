@@ -17,6 +17,7 @@ import numpy as np
 
 from limbcli.feb import read_loads
 from limbcli.feb.dialects import convert
+from limbcli.feb.ids import parameter_values
 from limbcli.feb.info import read_info
 from limbcli.feb.notes import ReadingNotes
 from limbcli.feb.read_contact import read_contacts
@@ -205,14 +206,12 @@ def _domain(
 
 def _refuse_other_maps(tag: Tag, block: str, material: Material) -> None:
     """Reject maps of a domain's material whose values belong to other cells."""
-    for value in material.parameters.values():
+    for value in parameter_values(material):
         if isinstance(value, ElementMap) and value.block != block:
             raise tag.problem(
                 f"its material has a map over {value.block!r}",
                 fix=f"give the map over {block!r}, or give this part a separate material",
             )
-    for part in material.parts:
-        _refuse_other_maps(tag, block, part)
 
 
 def _solid_domain(tag: Tag, name: str, material: str, of_elements: str | None, three_field: bool) -> Domain:
@@ -250,17 +249,9 @@ def used_curves(model: LimbModel) -> set[str]:
         names |= {support.curve for support in owner.supports}
         names |= {drive.curve for drive in owner.drives}
         names |= {load.curve for load in owner.loads}
-
     names |= {step.dt_max_curve for step in model.steps}
-
-    def visit(material: Material) -> None:
-        for value in material.parameters.values():
-            names.add(value.curve if isinstance(value, Curved) else None)
-        for part in material.parts:
-            visit(part)
-
     for material in model.materials.values():
-        visit(material)
+        names |= {value.curve for value in parameter_values(material) if isinstance(value, Curved)}
     return {name for name in names if name is not None}
 
 

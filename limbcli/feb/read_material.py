@@ -183,7 +183,7 @@ def _lame(tag: Tag, names: _Names) -> tuple[Value, Value]:
     maps = [each for each in (young, poisson) if isinstance(each, ElementMap)]
     if len({each.block for each in maps}) > 1:
         raise tag.problem("the maps of E and v are over different sets", fix="define both over one part")
-    mu, lam = np.broadcast_arrays(E / (2 * (1 + v)), E * v / ((1 + v) * (1 - 2 * v)))
+    mu, lam = np.broadcast_arrays(*lame(E, v))
     name, block = maps[0].name, maps[0].block
     return ElementMap(f"{name}_mu", block, mu), ElementMap(f"{name}_lambda", block, lam)
 

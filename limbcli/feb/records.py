@@ -41,11 +41,8 @@ def read_records(path: Path, *, n_columns: int | None = None) -> Records:
     ----------
     n_columns : expected number if known; else that of the first block
 
-    Raises
-    ------
-    SolveError
-        If the file is missing, has no complete block, a block before the last one does not fit, or a value is
-        not a number.
+    Raises SolveError if the file is missing, has no complete block, a block before the last one does not fit,
+    or a value is not a number.
     """
     try:
         text = path.read_text(encoding="ascii", errors="replace")
@@ -60,30 +57,30 @@ def read_records(path: Path, *, n_columns: int | None = None) -> Records:
     truncated = bool(blocks) and (not whole[-1] or not text.endswith("\n"))
     kept = [block for block in (blocks[:-1] if truncated else blocks) if block is not None]
     if len(kept) < len(blocks) - truncated:
-        raise _broken(path, "a block in its middle cannot be read")
+        raise broken_record(path, "a block in its middle cannot be read")
     if not kept:
-        raise _broken(path, "it contains no complete step")
+        raise broken_record(path, "it contains no complete step")
     shape = (len(kept[0].rows), (n_columns or kept[0].rows.shape[1] - 1) + 1)
     if not truncated and len(kept) > 1 and len(kept[-1].rows) < shape[0]:
         kept, truncated = kept[:-1], True
     for block in kept:
         if block.rows.shape != shape or not np.array_equal(block.rows[:, 0], kept[0].rows[:, 0]):
-            raise _broken(
+            raise broken_record(
                 path, f"the step at time {block.time:g} holds {block.rows.shape}, not {shape} values"
             )
     values = np.stack([block.rows[:, 1:] for block in kept])
     if not np.isfinite(values).all():
         at = kept[int(np.argwhere(~np.isfinite(values))[0][0])].time
-        raise _broken(path, f"a value at time {at:g} is not a number")
+        raise broken_record(path, f"a value at time {at:g} is not a number")
     times = np.array([block.time for block in kept])
     again = np.flatnonzero((np.diff(times) == 0) & (np.diff([block.step for block in kept]) == 0))
     if len(again):  # two steps may print the same time
-        raise _broken(path, f"the step at time {times[again[0]]:g} appears more than once: unconverged")
+        raise broken_record(path, f"the step at time {times[again[0]]:g} appears more than once: unconverged")
     if not np.isfinite(times).all() or (np.diff(times) < 0).any():
-        raise _broken(path, "its times do not increase from step to step")
+        raise broken_record(path, "its times do not increase from step to step")
     ids = kept[0].rows[:, 0]
     if not np.isfinite(ids).all() or (ids != np.rint(ids)).any() or ids.min() < 1 or ids.max() > _LARGEST:
-        raise _broken(path, "an id in its first column is not a whole number from 1")
+        raise broken_record(path, "an id in its first column is not a whole number from 1")
     return Records(
         steps=np.array([block.step for block in kept], dtype=np.int64),
         times=times,
@@ -117,7 +114,7 @@ def _block(text: str) -> _Block | None:
     return _Block(step, time, values.reshape(-1, width))
 
 
-def _broken(path: Path, what: str) -> SolveError:
+def broken_record(path: Path, what: str) -> SolveError:
     return SolveError(
         f"the record file {path.name} cannot be used: {what}",
         where=str(path),

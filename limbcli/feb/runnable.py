@@ -28,10 +28,8 @@ def runnable(source: Path) -> Runnable:
     """A file of format 4.0 in mm-N-s as it stands, but without names for its log and plot file, which would
     lead them away from the run's folder; any other file converted to it.
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, or needs a conversion and holds what limbcli does not support.
+    Raises CaseError if the file cannot be read, or needs a conversion and holds what limbcli does not
+    support.
     """
     root = open_model(source)
     if not is_native(root):

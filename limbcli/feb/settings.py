@@ -71,10 +71,7 @@ def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule
     depths : mm, increasing, all above `least_level()`
     start : depth of the probe at time 0 (mm); None: 0.05, less if the first level is shallow
 
-    Raises
-    ------
-    CaseError
-        If the depths do not increase, or the first is too small.
+    Raises CaseError if the depths do not increase, or the first is too small.
 
     >>> schedule([1.0, 2.5, 8.0])
     Schedule(start=0.05, times=(0.1, 0.25, 0.8), depths=(1.0, 2.5, 8.0))

@@ -28,10 +28,7 @@ _ASSUMED_DENSITY = Material("").density
 def units_scale(root: Tag) -> tuple[float, float]:
     """(mm, N) of the file's units of length and force.
 
-    Raises
-    ------
-    CaseError
-        If the unit system is unknown.
+    Raises CaseError if the unit system is unknown.
     """
     name = units_of(root)
     if name not in SYSTEMS:
@@ -48,10 +45,7 @@ def scaled(model: LimbModel, length: float, force: float) -> LimbModel:
 
     length, force : mm and N of its units
 
-    Raises
-    ------
-    CaseError
-        If it has a value whose unit is not known.
+    Raises CaseError if it has a value whose unit is not known.
     """
     by = _Factors(length, force)
     mesh = replace(model.mesh, points=model.mesh.points * length)

@@ -148,11 +148,8 @@ def _scalar_rows(material: Material, law: LawTag, ids: Ids) -> list[Row]:
 
 def _young(mu: Value, lam: Value) -> tuple[Value, Value]:
     if isinstance(mu, ElementMap) and isinstance(lam, ElementMap):
-        total = mu.values + lam.values
-        return (
-            ElementMap(f"{mu.name}_E", mu.block, mu.values * (3 * lam.values + 2 * mu.values) / total),
-            ElementMap(f"{mu.name}_v", mu.block, lam.values / (2 * total)),
-        )
+        E, v = young(mu.values, lam.values)
+        return ElementMap(f"{mu.name}_E", mu.block, E), ElementMap(f"{mu.name}_v", mu.block, v)
     if isinstance(mu, float | int) and isinstance(lam, float | int):
         return young(float(mu), float(lam))
     raise CaseError(
@@ -255,9 +252,6 @@ def drive_groups(drives: Sequence[Drive]) -> list[list[Drive]]:
     return groups
 
 
-_RECORD_TAGS = {"rigid_body": "rigid_body_data", "node": "node_data", "element": "element_data"}
-
-
 def record_views(model: LimbModel, ids: Ids) -> list[dict[str, str]]:
     return [_record(record, ids) for record in model.records]
 
@@ -268,7 +262,7 @@ def _record(record: LogRecord, ids: Ids) -> dict[str, str]:
     else:
         items = "" if record.items is None else set_ids(record.items)
     return {
-        "tag": _RECORD_TAGS[record.kind],
+        "tag": f"{record.kind}_data",
         "fields": ";".join(record.fields),
         "file": record.file,
         "name": record.items if isinstance(record.items, str) else "",

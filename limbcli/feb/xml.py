@@ -290,10 +290,7 @@ def _suggestion(name: str, known: Collection[str], kind: str) -> str:
 def open_model(path: Path, notes: ReadingNotes | None = None) -> Tag:
     """The root tag of a `.feb` or `.feb.gz` file, of format 4.0, or of an older one that can be converted.
 
-    Raises
-    ------
-    CaseError
-        If the file is absent, is not XML, or is not a FEBio model of format 2.5, 3.0 or 4.0.
+    Raises CaseError if the file is absent, is not XML, or is not a FEBio model of format 2.5, 3.0 or 4.0.
     """
     if not path.is_file():
         raise CaseError(f"the model file {path} does not exist", where=str(path), fix="check the path")
@@ -366,10 +363,8 @@ def _take_out_comments(root: etree._Element) -> None:
 def model_text(path: Path) -> bytes:
     """Uncompressed content of a `.feb` or `.feb.gz` file.
 
-    Raises
-    ------
-    OSError, EOFError, zlib.error
-        If it cannot be read, or exceeds the largest accepted size of a model.
+    Raises OSError, EOFError, zlib.error if it cannot be read, or exceeds the largest accepted size of a
+    model.
     """
     if path.stat().st_size > _LARGEST:
         raise OSError(f"it is larger than {_LARGEST / 1e6:.0f} MB")
@@ -381,10 +376,7 @@ def _check_file_names(root: Tag) -> None:
     """Check that the files written by a solver stay in the run's folder and do not overwrite each other or
     its own files.
 
-    Raises
-    ------
-    CaseError
-        If a name contains a folder, is one that the run itself needs, or occurs twice.
+    Raises CaseError if a name contains a folder, is one that the run itself needs, or occurs twice.
     """
     seen: set[str] = set()
     for element in cast(list[etree._Element], root.element.xpath(f".//*[@file][not({_LED})]")):

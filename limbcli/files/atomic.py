@@ -57,10 +57,7 @@ def atomic_folder(target: Path, *, is_new: bool = False) -> Iterator[Path]:
 
     is_new : `target` is not to be replaced, even if another program makes it while the block runs
 
-    Raises
-    ------
-    CaseError
-        If it was made meanwhile, or for a full disk and the like.
+    Raises CaseError if it was made meanwhile, or for a full disk and the like.
     """
     with file_system_errors(target):
         target = Path(os.path.realpath(target)) if target.is_symlink() else target
@@ -200,10 +197,7 @@ def sha256(path: Path) -> str:
 
     A header whose data lie in files beside it (`.nhdr`, `.mhd`) is hashed together with them.
 
-    Raises
-    ------
-    OSError
-        If there is no such file or folder, or a file cannot be read.
+    Raises OSError if there is no such file or folder, or a file cannot be read.
     """
     if not path.is_dir():
         data = detached_data(path)

@@ -38,12 +38,8 @@ def read_dicom(path: Path) -> FileDataset:
 
     Compressed pixels without a stated transfer syntax remain without one, and cannot be decoded.
 
-    Raises
-    ------
-    OSError
-        If a deflated file is damaged, or unpacks to too much.
-    pydicom.errors.InvalidDicomError
-        If the file is no DICOM file: without preamble, it must name its SOP Class or its modality and size.
+    Raises OSError if a deflated file is damaged, or unpacks to too much; pydicom.errors.InvalidDicomError if
+    the file is no DICOM file: without preamble, it must name its SOP Class or its modality and size.
     """
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
@@ -66,10 +62,7 @@ def read_dicom(path: Path) -> FileDataset:
 def require_affordable(dataset: Dataset) -> None:
     """Check before pixels are decoded that they are not too many, whatever their compression.
 
-    Raises
-    ------
-    OSError
-        If they are.
+    Raises OSError if they are.
     """
     sides = ("Rows", "Columns", "NumberOfFrames", "SamplesPerPixel")
     n_values = math.prod(max(1, int(dataset.get(each, 1) or 1)) for each in sides)

@@ -81,9 +81,7 @@ def _places(name: str) -> Iterator[Path]:
         yield cache / "limbcli" / name
     with suppress(OSError):  # there may be no temporary folder
         temporary = Path(tempfile.gettempdir())
-        user = (
-            os.getuid() if hasattr(os, "getuid") else None
-        )  # none on Windows, whose folder is the user's own
+        user = os.getuid() if hasattr(os, "getuid") else None  # Windows: the folder is the user's own
         own = temporary / f"{name}-{user}"
         with suppress(FileExistsError):
             own.mkdir(mode=0o700)

@@ -34,10 +34,8 @@ def one_writer(folder: Path, *, wait: bool = True, progress: Progress = SILENT) 
 
     wait : wait for another process to finish, with a note; otherwise refuse at once
 
-    Raises
-    ------
-    CaseError
-        If another process writes there and `wait` is False, or the folder cannot be written to or named.
+    Raises CaseError if another process writes there and `wait` is False, or the folder cannot be written to
+    or named.
     """
     with _held(folder, LOCK, wait=wait, progress=progress):
         yield
@@ -47,10 +45,7 @@ def one_writer(folder: Path, *, wait: bool = True, progress: Progress = SILENT) 
 def site_writer(folder: Path, site: str, *, wait: bool = True, progress: Progress = SILENT) -> Iterator[None]:
     """Hold the exclusive lock of this site's results; other sites may be written at the same time.
 
-    Raises
-    ------
-    CaseError
-        As `one_writer`.
+    Raises CaseError as `one_writer`.
     """
     together = _held(folder, LOCK, wait=wait, progress=progress, alone=False)
     with together, _held(folder, f"{LOCK}-{site}", wait=wait, progress=progress):
@@ -80,10 +75,7 @@ def _held(folder: Path, name: str, *, wait: bool, progress: Progress, alone: boo
 def _made(folder: Path) -> None:
     """Create the folder if it does not exist; every failure becomes an error with a fix.
 
-    Raises
-    ------
-    CaseError
-        If it cannot be created, for example in a file system without ordinary folders.
+    Raises CaseError if it cannot be created, for example in a file system without ordinary folders.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)

@@ -63,10 +63,7 @@ def plain_text_templates(folder: Path) -> jinja2.Environment:
 def filled(environment: jinja2.Environment, template: str, facts: Mapping[str, Any], *, ours: str) -> str:
     """Render a template. ours : location of limbcli's own templates, for comparison in the message
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, or fails.
+    Raises CaseError if it cannot be read, or fails.
     """
     try:
         return environment.get_template(template).render(facts)
@@ -87,10 +84,7 @@ def refuse_unused(environment: jinja2.Environment, folder: Path, ours: Path, *, 
     folder, ours : the user's and limbcli's own folder of one kind of template
     below : prefix of a template's name when it is loaded
 
-    Raises
-    ------
-    CaseError
-        For the first such file.
+    Raises CaseError for the first such file.
     """
     assert isinstance(environment.loader, TemplateFolders)
     known = {path.name for path in ours.iterdir() if path.suffix != _TOLD_IN}

@@ -45,10 +45,7 @@ class UnpackingBudget:
     def spend(self, n_bytes: int) -> None:
         """Count bytes that are about to be unpacked.
 
-        Raises
-        ------
-        OSError
-            If they are more than what is left.
+        Raises OSError if they are more than what is left.
         """
         if n_bytes > self.left:
             raise OSError(f"it unpacks to more than {self.most / 1e6:g} MB")
@@ -57,10 +54,7 @@ class UnpackingBudget:
     def gunzip(self, content: bytes, *, first: int | None = None) -> bytes:
         """Unpacked content of a gzip file; first : only so many bytes.
 
-        Raises
-        ------
-        OSError, EOFError, zlib.error
-            If it is corrupt, or more than the budget.
+        Raises OSError, EOFError, zlib.error if it is corrupt, or more than the budget.
         """
         most = self.left if first is None else min(first, self.left)
         with gzip.GzipFile(fileobj=io.BytesIO(content)) as stream:
@@ -71,10 +65,7 @@ class UnpackingBudget:
     def bunzip2(self, content: bytes) -> bytes:
         """Unpacked content of a bzip2 file.
 
-        Raises
-        ------
-        OSError, EOFError, ValueError
-            If it is corrupt, or more than the budget.
+        Raises OSError, EOFError, ValueError if it is corrupt, or more than the budget.
         """
         with bz2.BZ2File(io.BytesIO(content)) as stream:
             unpacked = stream.read(self.left + 1)
@@ -84,10 +75,7 @@ class UnpackingBudget:
     def inflate(self, block: bytes, size: int, *, is_lzma: bool = False) -> bytes:
         """At most `size` bytes of a block of zlib or LZMA.
 
-        Raises
-        ------
-        OSError, zlib.error, lzma.LZMAError
-            If it is corrupt, or `size` is more than the budget.
+        Raises OSError, zlib.error, lzma.LZMAError if it is corrupt, or `size` is more than the budget.
         """
         self.spend(size)
         packer = lzma.LZMADecompressor() if is_lzma else zlib.decompressobj()
@@ -96,10 +84,7 @@ class UnpackingBudget:
     def measure_deflated(self, content: bytes) -> None:
         """Count what a deflated stream without header unpacks to, keeping none of it.
 
-        Raises
-        ------
-        OSError, zlib.error
-            If it is corrupt, or more than the budget.
+        Raises OSError or zlib.error if it is corrupt, or more than the budget.
         """
         packer = zlib.decompressobj(-zlib.MAX_WBITS)
         while not packer.eof:

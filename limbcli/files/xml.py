@@ -26,10 +26,7 @@ def parsed_xml(content: bytes, *, recover: bool = False, remove_pis: bool = Fals
     recover : continue after errors of syntax
     remove_pis : join the text before and after a processing instruction
 
-    Raises
-    ------
-    XmlError
-        If it is no XML, has a document type, is larger than `LARGEST` or deeper than `DEEPEST`.
+    Raises XmlError if it is no XML, has a document type, is larger than `LARGEST` or deeper than `DEEPEST`.
 
     >>> parsed_xml(b"<a>1 <!-- one --> 2</a>").tag
     'a'

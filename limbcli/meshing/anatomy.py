@@ -47,10 +47,7 @@ def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -
     surfaces : "skin" and the bones by name, mm, patient LPS; open or closed
     limb : "left" or "right"; verified by the position of the fibula, if two bones are named tibia and fibula
 
-    Raises
-    ------
-    MeshError
-        If the skin does not enclose a body.
+    Raises MeshError if the skin does not enclose a body.
     """
     skin = surfaces[SKIN]
     bones = {name: each for name, each in surfaces.items() if name != SKIN}
@@ -68,10 +65,7 @@ def limb_problems(surfaces: Mapping[str, Triangles], *, limb: str, where: str) -
 def bones_outside(surfaces: Mapping[str, Triangles], *, where: str) -> tuple[Triangles, dict[str, str]]:
     """The closed skin, and in words how far each bone that `limb_problems` refuses lies outside it.
 
-    Raises
-    ------
-    MeshError
-        If the skin does not enclose a body.
+    Raises MeshError if the skin does not enclose a body.
     """
     bones = {name: each for name, each in surfaces.items() if name != SKIN}
     mended = mend(surfaces[SKIN], [], where=where, beside=list(bones.values()))

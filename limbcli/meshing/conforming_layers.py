@@ -120,10 +120,7 @@ def with_layers(
 ) -> tuple[VolumeMesh, IntArray]:
     """The core with its layers, and a number for each cell: 0 core, 1 and above the layers from inside out.
 
-    Raises
-    ------
-    MeshError
-        If a cell of a layer is inverted (the layer is too thick for the curvature of the skin).
+    Raises MeshError if a cell of a layer is inverted (the layer is too thick for the curvature of the skin).
     """
     faces = core.faces[core.labels == SKIN]
     base = np.unique(faces)
@@ -153,10 +150,7 @@ def _untangled(
 ) -> Array:
     """Move nodes where cells of the layers are flat or inverted (at folds of the skin or edges of the cuts).
 
-    Raises
-    ------
-    MeshError
-        If some remain inverted.
+    Raises MeshError if some remain inverted.
     """
     constraints = NodeConstraints.of_faces(len(points), shell, labels)
     for goal_deg, passes in _UNTANGLING:

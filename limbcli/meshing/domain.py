@@ -79,10 +79,7 @@ def make_domain(
 
     whole : of separate pieces of tissue, keep the largest, not the one at the origin (the site)
 
-    Raises
-    ------
-    MeshError
-        If no tissue is left at the origin (the site).
+    Raises MeshError if no tissue is left at the origin (the site).
     """
     inside = within(limb.skin.points, planes, slack=2 * spacing)
     if not inside.any():

@@ -24,10 +24,7 @@ def with_element(model: LimbModel, element: str) -> LimbModel:
     tet10 to tet4 drops the mid-side nodes; tet4 to tet10 adds them at the midpoints of the edges. Node sets,
     surfaces and records are updated; element maps are unchanged.
 
-    Raises
-    ------
-    MeshError
-        If the model has solid cells that are not tetrahedra.
+    Raises MeshError if the model has solid cells that are not tetrahedra.
     """
     kinds = {block.kind for block in model.mesh.solid_blocks}
     if not kinds <= {"tet4", "tet10"}:

@@ -11,7 +11,7 @@ import numpy as np
 from limbcli.meshing.quality import dihedral_angles_deg
 from limbcli.model import Array, Block, ElementMap, Mesh
 
-_VTK = {
+VTK_TYPES = {
     "tet4": "tetra", "tet10": "tetra10", "hex8": "hexahedron", "penta6": "wedge",
     "tri3": "triangle", "tri6": "triangle6", "quad4": "quad",
 }  # fmt: skip
@@ -35,7 +35,7 @@ def write_vtu(
     """
     import meshio
 
-    cells = [(_VTK[each.kind], each.cells) for each in mesh.blocks]
+    cells = [(VTK_TYPES[each.kind], each.cells) for each in mesh.blocks]
     point_data = {f"set_{name}": _marked(len(mesh.points), nodes) for name, nodes in mesh.node_sets.items()}
     for name, surface in mesh.surfaces.items():
         nodes = np.concatenate([each.ravel() for each in surface.facets.values()])

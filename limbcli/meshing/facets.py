@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from limbcli.meshing.facet_kernels import bucketed, collapse_edges, flip_edges, sort_within
-from limbcli.meshing.surfaces import undirected
+from limbcli.meshing.surfaces import Triangles, undirected
 from limbcli.model import Array, IntArray
 
 _LONG, _SHORT = 1.35, 0.78  # fractions of the target length: longer edges are split, shorter ones collapsed
@@ -141,27 +141,28 @@ def relax(points: Array, faces: IntArray, labels: IntArray, ranks: IntArray, wan
     out = np.where((ranks == 1)[:, None], total / np.maximum(weight, 1e-12)[:, None], points)
     edges, sides = edges_of(faces)
     feature = edges[labels[sides[:, 0]] != labels[sides[:, 1]]]
-    total, count = np.zeros_like(points), np.zeros(len(points))
-    for p, q in (feature.T, feature.T[::-1]):
-        np.add.at(total, p, points[q])
-        np.add.at(count, p, 1)
+    total, count = neighbour_sums(points, feature)
     along = (ranks == 2) & (count == 2)
     out[along] = 0.5 * points[along] + 0.5 * total[along] / 2
     return points + 0.7 * (out - points)
 
 
-def area_vectors(points: Array, faces: IntArray) -> Array:
-    a, b, c = points[faces[:, 0]], points[faces[:, 1]], points[faces[:, 2]]
-    return 0.5 * np.cross(b - a, c - a)
+def neighbour_sums(points: Array, edges: IntArray) -> tuple[Array, Array]:
+    """Sum (n, 3) of each node's neighbours along the edges (m, 2), and their number (n,)."""
+    total, count = np.zeros_like(points), np.zeros(len(points))
+    for p, q in (edges.T, edges.T[::-1]):
+        np.add.at(total, p, points[q])
+        np.add.at(count, p, 1)
+    return total, count
 
 
 def keep_unfolded(before: Array, after: Array, faces: IntArray) -> Array:
     """`after`, except that nodes whose faces would be inverted or collapse stay at `before`."""
     x = after.copy()
-    old = area_vectors(before, faces)
+    old = Triangles(before, faces).area_vectors
     size = np.linalg.norm(old, axis=1)
     for _ in range(_ROUNDS):
-        new = area_vectors(x, faces)
+        new = Triangles(x, faces).area_vectors
         fit = np.einsum("ij,ij->i", old, new) > 0.3 * size * np.linalg.norm(new, axis=1)
         fit &= np.linalg.norm(new, axis=1) > 0.1 * size
         if fit.all():

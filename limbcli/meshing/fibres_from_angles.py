@@ -52,10 +52,7 @@ def direction_of_angles(
 
     beam (3,) : unit, into the tissue; proximal (3,) : unit, along the limb
 
-    Raises
-    ------
-    CaseError
-        If the only image is across the limb, or two images lie in nearly the same plane.
+    Raises CaseError if the only image is across the limb, or two images lie in nearly the same plane.
 
     >>> axial = ImageAngle(np.array([0.0, 0, 1]), 30.0, 2.0)
     >>> direction_of_angles([axial], np.array([0.0, 1, 0]), proximal=np.array([0.0, 0, 1])).axis.round(3)

@@ -72,10 +72,8 @@ def site_frame(
     measured, and the probe is made normal to the skin only across it; an axis that deviates from the skin
     plane by more than `LARGEST_SLOPE_DEG` is projected onto it.
 
-    Raises
-    ------
-    CaseError
-        If the position is more than 30 mm from the skin, or the long axis is parallel to the normal.
+    Raises CaseError if the position is more than 30 mm from the skin, or the long axis is parallel to the
+    normal.
     """
     point, normal, distance = nearest_skin_point(limb.skin, np.asarray(position, float))
     if distance > FAR_FROM_SKIN:
@@ -224,10 +222,7 @@ def skin_point_at(limb: Limb, angle_deg: float, height: float, *, where: str = "
     0 degrees is anterior (-y of LPS), 90 the patient's left, seen from the centre of the cross-section at
     that height.
 
-    Raises
-    ------
-    CaseError
-        If the limb has no skin at that height.
+    Raises CaseError if the limb has no skin at that height.
     """
     axis = proximal_direction(limb)
     along = limb.skin.points @ axis

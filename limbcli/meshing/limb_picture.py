@@ -74,5 +74,4 @@ def _view(
             axes.plot([u], [v], "k+", markersize=8)
             axes.annotate(name, (u, v), textcoords="offset points", xytext=(4, 4), fontsize=8)
     axes.autoscale_view()
-    axes.set_aspect("equal")
-    axes.set_xlabel("across [mm]")
+    axes.set(aspect="equal", xlabel="across [mm]")

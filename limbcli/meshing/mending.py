@@ -75,10 +75,7 @@ def mend(
 
     beside : bodies that are not part of the limb, but show its direction
 
-    Raises
-    ------
-    MeshError
-        If no body encloses a volume that could be a limb.
+    Raises MeshError if no body encloses a volume that could be a limb.
     """
     notes: list[str] = []
     pieces = _without_strays(bodies(skin), notes, "skin")

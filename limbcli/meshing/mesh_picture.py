@@ -51,9 +51,7 @@ def draw_cut(
     outline = np.vstack([[-half, probe.wall], np.c_[u, rise], [half, probe.wall]]) - [0, start_depth]
     axes.fill(*outline.T, facecolor="#9db4c8", edgecolor="#1f4e79", linewidth=1.2, alpha=0.8)
     axes.autoscale_view()
-    axes.set_aspect("equal")
-    axes.set_xlabel(_axis_words(across, sides))
-    axes.set_ylabel("z, outward [mm]")
+    axes.set(aspect="equal", xlabel=_axis_words(across, sides), ylabel="z, outward [mm]")
     axes.set_title(f"cut through the site at {'xy'[axis]} = 0; empty inside: bone", fontsize=10)
 
 
@@ -92,9 +90,7 @@ def _from_above(axes: Any, mesh: Mesh, probe: ProbeShape, sides: tuple[str, str]
         axes.add_collection(shapes)
     axes.add_collection(LineCollection([_outline(probe)], colors="#1f4e79", linewidths=1.8))
     axes.autoscale_view()
-    axes.set_aspect("equal")
-    axes.set_xlabel(_axis_words(0, sides))
-    axes.set_ylabel(_axis_words(1, sides))
+    axes.set(aspect="equal", xlabel=_axis_words(0, sides), ylabel=_axis_words(1, sides))
     axes.set_title("skin from outside; shaded: within the probe's reach;\nblue: its outline", fontsize=10)
 
 
@@ -115,8 +111,7 @@ def _histogram(axes: Any, mesh: Mesh, figures: MeshQuality) -> None:
     axes.hist(np.concatenate(lowest), bins=np.arange(0, 72, 2), color="#7f9db9", edgecolor="white")
     axes.axvline(4, color="#a33", linewidth=1, linestyle="--", label="4°: required minimum")
     axes.axvline(8, color="#d90", linewidth=1, linestyle="--", label="8°: least under the probe")
-    axes.set_xlabel("smallest dihedral angle of a tetrahedron [°]")
-    axes.set_ylabel("tetrahedra")
+    axes.set(xlabel="smallest dihedral angle of a tetrahedron [°]", ylabel="tetrahedra")
     axes.set_ylim(top=1.2 * axes.get_ylim()[1])  # room for the legend above the bars
     axes.legend(frameon=False, loc="upper right")
     axes.set_title(

@@ -32,14 +32,8 @@ def in_process(
 ) -> tuple[Array, IntArray]:
     """Nodes (n, 3) and tetrahedra (m, 4) from a closed surface; a mesher that was killed is run once more.
 
-    Raises
-    ------
-    MeshError
-        If the mesher refuses the surface, crashes, or runs out of time.
-    ToolError
-        If the mesher is not installed.
-    OSError
-        If the temporary folder is full.
+    Raises MeshError if the mesher refuses the surface, crashes, or runs out of time; ToolError if the mesher
+    is not installed; OSError if the temporary folder is full.
     """
     with scratch_folder() as folder:
         np.savez(folder / "in.npz", points=points, faces=faces, options=json.dumps(options))

@@ -17,10 +17,7 @@ _NAME = "pymeshlab"
 def open_pymeshlab() -> Any:
     """Import pymeshlab; outside the main thread, by a thread that never ends.
 
-    Raises
-    ------
-    ImportError
-        If it is not installed, or cannot be loaded.
+    Raises ImportError if it is not installed, or cannot be loaded.
     """
     if _NAME not in sys.modules and threading.current_thread() is not threading.main_thread():
         is_opened = threading.Event()

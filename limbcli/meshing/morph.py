@@ -30,10 +30,7 @@ def morphed(mesh: Mesh, moves: Mapping[str, Array]) -> Mesh:
     moves : displacement (n, 3), mm, of the nodes of a node set, in the set's order; if two sets share a node,
         the later one counts. Sets that are not named move freely.
 
-    Raises
-    ------
-    MeshError
-        If a cell would lose nearly all of its volume.
+    Raises MeshError if a cell would lose nearly all of its volume.
     """
     cells = np.concatenate([block.cells for block in mesh.solid_blocks])
     corners = cells[:, :4]

@@ -87,10 +87,7 @@ def distance_to_faces(probes: Sequence[PlacedProbe], points: Array) -> Array:
 def check_shape(shape: ProbeShape, *, where: str = "[probe]") -> ProbeShape:
     """The shape, if it is valid.
 
-    Raises
-    ------
-    CaseError
-        If a side is not positive or the edge radius leaves no face.
+    Raises CaseError if a side is not positive or the edge radius leaves no face.
     """
     if min(shape.length, shape.width) <= 0 or shape.edge_radius < 0:
         raise CaseError(

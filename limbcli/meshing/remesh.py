@@ -17,7 +17,15 @@ from scipy.spatial import cKDTree
 from limbcli.errors import MeshError
 from limbcli.meshing.distance import Field
 from limbcli.meshing.domain import BONE, CUT, TissueDomain
-from limbcli.meshing.facets import collapse_short, edges_of, flip, keep_unfolded, relax, split_long
+from limbcli.meshing.facets import (
+    collapse_short,
+    edges_of,
+    flip,
+    keep_unfolded,
+    neighbour_sums,
+    relax,
+    split_long,
+)
 from limbcli.meshing.improve import FIXED, NodeConstraints, put_back
 from limbcli.meshing.meshlab import open_pymeshlab
 from limbcli.meshing.probe import PlacedProbe, distance_to_faces
@@ -203,22 +211,11 @@ def unfold(boundary: Boundary, domain: TissueDomain, *, rounds: int = 8) -> Boun
         free &= (constraints.codes[:, 0] > 0) & (constraints.codes[:, 1] == 0)
         if not free.any():
             break
-        surface = Triangles(
-            put_back(_relaxed(surface.points, edges, free), constraints, domain), surface.faces
-        )
+        total, count = neighbour_sums(surface.points, edges)
+        points = surface.points.copy()
+        points[free] = total[free] / count[free][:, None]
+        surface = Triangles(put_back(points, constraints, domain), surface.faces)
     return Boundary(surface, labels)
-
-
-def _relaxed(points: Array, edges: IntArray, free: Array) -> Array:
-    """Move the points marked free to the mean of their neighbours."""
-    total = np.zeros_like(points)
-    count = np.zeros(len(points))
-    for a, b in (edges.T, edges.T[::-1]):
-        np.add.at(total, a, points[b])
-        np.add.at(count, a, 1)
-    out = points.copy()
-    out[free] = total[free] / count[free][:, None]
-    return out
 
 
 def outward_normals(boundary: Boundary, domain: TissueDomain) -> Array:
@@ -252,10 +249,7 @@ class Boundary:
 def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: int = 10) -> Boundary:
     """Graded facets for a finely triangulated boundary; its features (edges of the cuts) stay sharp.
 
-    Raises
-    ------
-    MeshError
-        If the surface is not closed.
+    Raises MeshError if the surface is not closed.
     """
     _check_closed(fine)
     points, faces, labels = fine.points, fine.faces, face_labels(fine, domain)

@@ -135,10 +135,7 @@ def rods_for(
     other belong to the same bone, whose centre is their mean (least squares); the nearest are joined first,
     whatever the order of the sites. Other sites have a rod each.
 
-    Raises
-    ------
-    CaseError
-        If a rod would protrude from the skin at its site.
+    Raises CaseError if a rod would protrude from the skin at its site.
     """
     middles = {name: each.bone - radius * _unit(_across(each.normal, axis)) for name, each in seen.items()}
     across = np.array([_across(each, axis) for each in middles.values()])

@@ -74,11 +74,8 @@ def mesh_volume(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Si
     Tried in turn: TetGen on the boundary remeshed as requested (finer where facets intersect or have lost
     bone), TetGen on a finer boundary, TetGen with smoothed bones, fTetWild.
 
-    Raises
-    ------
-    MeshError
-        If no method yields cells of positive volume with dihedral angles of at least 4 degrees (8 under a
-        probe); it reports the outcome of each.
+    Raises MeshError if no method yields cells of positive volume with dihedral angles of at least 4 degrees
+    (8 under a probe); it reports the outcome of each.
     """
     tale: list[str] = []
     ways: list[Callable[[], VolumeMesh]] = [

@@ -83,12 +83,8 @@ def site_model(
 
     `limb` is in the patient frame (LPS, mm), as `mend` returns it.
 
-    Raises
-    ------
-    CaseError
-        If site, probe or options are unusable, or the images end under the probe.
-    MeshError
-        If no volume mesh of sufficient quality could be made.
+    Raises CaseError if site, probe or options are unusable, or the images end under the probe; MeshError if
+    no volume mesh of sufficient quality could be made.
     """
     if options.element not in ELEMENTS:
         raise CaseError(f"element {options.element!r} is not known", where=name, fix="use tet10 or tet4")

@@ -43,7 +43,5 @@ def _curve(
     axes.plot(x, force, "o-", color="#1f4e79")
     mine = [(a, f) for a, f in pairs if a == used]
     axes.plot(*zip(*mine, strict=True), "o", color="#c8502d", markersize=9, label="the model")
-    axes.set_xlabel(label)
-    axes.set_ylabel(f"force at {depth:.2f} mm [N]")
-    axes.set_ylim(0, 1.12 * max(*force, *others))
+    axes.set(xlabel=label, ylabel=f"force at {depth:.2f} mm [N]", ylim=(0, 1.12 * max(*force, *others)))
     axes.legend(frameon=False)

@@ -109,10 +109,7 @@ def read_surface(
 
     Coincident points are merged by `merge` (None: `merge_points`).
 
-    Raises
-    ------
-    error_type
-        If the file is absent, holds no triangles, or a coordinate is not a number.
+    Raises error_type if the file is absent, holds no triangles, or a coordinate is not a number.
     """
     fix = f"give a triangle surface in one of the formats {', '.join(SUFFIXES)}"
     if not path.is_file():

@@ -86,10 +86,7 @@ def tetgen_mesh(
 ) -> Tetrahedra:
     """Run TetGen in a separate process (it may crash or not terminate); boundary facets are preserved.
 
-    Raises
-    ------
-    MeshError
-        If TetGen refuses the surface, crashes, or runs out of time.
+    Raises MeshError if TetGen refuses the surface, crashes, or runs out of time.
     """
     points = np.ascontiguousarray(np.vstack([boundary.surface.points, inner]))
     faces = np.ascontiguousarray(boundary.surface.faces)

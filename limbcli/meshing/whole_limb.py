@@ -84,10 +84,7 @@ class LimbMesh:
 def end_planes(limb: Limb, frame: LimbFrame, options: LimbMeshOptions, *, where: str) -> dict[str, Plane]:
     """The planes in which the limb ends, by name: `proximal_cut`, and `distal_cut` if that is accepted.
 
-    Raises
-    ------
-    CaseError
-        If the limb has no proximal cut, is cut at its distal end too, or along its side.
+    Raises CaseError if the limb has no proximal cut, is cut at its distal end too, or along its side.
     """
     found: dict[str, Plane] = {}
     for each in limb.ends:
@@ -146,12 +143,8 @@ def limb_mesh(
 
     limb : patient LPS, mm, as `mend` returns it; bones : the same bones by name, closed or not
 
-    Raises
-    ------
-    CaseError
-        If the limb's ends, its bones or the options cannot be used.
-    MeshError
-        If no volume mesh of sufficient quality could be made.
+    Raises CaseError if the limb's ends, its bones or the options cannot be used; MeshError if no volume mesh
+    of sufficient quality could be made.
     """
     if not limb.bones:
         raise CaseError(

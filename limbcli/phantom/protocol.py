@@ -60,10 +60,7 @@ def depth_at_force(depth: Array, force: Array, targets: Array) -> Array:
     the same curve at the result reproduces the force. The curve may begin with depths at which the probe does
     not yet touch the mesh (force 0).
 
-    Raises
-    ------
-    SolveError
-        If the force does not increase with depth, or never reaches a target.
+    Raises SolveError if the force does not increase with depth, or never reaches a target.
 
     >>> depth_at_force(np.arange(5.0), np.arange(5.0) ** 2, np.array([0.0, 9.0])).round(9)
     array([0., 3.])

@@ -58,10 +58,7 @@ def true_levels(
 
     speed : wave speed of a law that `terms` cannot represent; `terms` is not needed then
 
-    Raises
-    ------
-    SolveError
-        If it reaches fewer than three steps.
+    Raises SolveError if it reaches fewer than three steps.
     """
     forces = protocol.forces(reached=float(simulated.force[-1]))
     if len(forces) < 3:

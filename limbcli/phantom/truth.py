@@ -2,28 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from pathlib import Path
 
 import nibabel as nib
 import numpy as np
 from skimage import measure
 
+from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
 from limbcli.phantom.mri import VoxelGrid
 from limbcli.phantom.shapes import Implicit, project
 from limbcli.phantom.subject import Subject
 
 
-@dataclass(frozen=True, eq=False)
-class TrueSurface:
-    """points (n, 3) in mm, patient frame; triangles (m, 3), outward normals."""
-
-    points: Array
-    triangles: IntArray
-
-
-def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> TrueSurface:
+def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> Triangles:
     """Triangulate an implicit shape of the limb frame, cut by the outer face of the last slice.
 
     Marching cubes on a grid of `edge` mm; each vertex that is not on the cut is then projected onto the
@@ -45,7 +37,7 @@ def closed_surface(shape: Implicit, subject: Subject, *, edge: float) -> TrueSur
     over = np.where(on_cut, cut(limb), np.maximum(cut(limb), 0.0))
     normal = subject.limb_from_patient[:3, :3] @ subject.grid.axes[2]
     limb -= over[:, None] * normal
-    return TrueSurface(subject.to_patient(limb), triangles[:, ::-1].astype(np.int64))
+    return Triangles(subject.to_patient(limb), triangles[:, ::-1].astype(np.int64))
 
 
 def _bounds(shape: Implicit, cut: Implicit) -> tuple[Array, Array]:
@@ -56,24 +48,12 @@ def _bounds(shape: Implicit, cut: Implicit) -> tuple[Array, Array]:
     return inside.min(axis=0) - 5.0, inside.max(axis=0) + 5.0
 
 
-def surfaces(subject: Subject, *, edge: float = 2.0) -> dict[str, TrueSurface]:
+def surfaces(subject: Subject, *, edge: float = 2.0) -> dict[str, Triangles]:
     """Skin and bones of a subject, by name ("skin", "bone_tibia", "bone_fibula")."""
     found = {"skin": closed_surface(subject.anatomy.skin, subject, edge=edge)}
     for name, bone in subject.anatomy.bones().items():
         found[f"bone_{name}"] = closed_surface(bone, subject, edge=0.75 * edge)
     return found
-
-
-def write_surface(path: Path, surface: TrueSurface) -> None:
-    """Write a binary PLY without a date, so that the same surface gives identical bytes."""
-    header = (
-        "ply\nformat binary_little_endian 1.0\ncomment mm, patient LPS\n"
-        f"element vertex {len(surface.points)}\nproperty float x\nproperty float y\nproperty float z\n"
-        f"element face {len(surface.triangles)}\nproperty list uchar int vertex_indices\nend_header\n"
-    )
-    faces = np.empty(len(surface.triangles), dtype=[("n", "u1"), ("nodes", "<i4", 3)])
-    faces["n"], faces["nodes"] = 3, surface.triangles
-    path.write_bytes(header.encode() + surface.points.astype("<f4").tobytes() + faces.tobytes())
 
 
 def write_labels(path: Path, labels: IntArray, grid: VoxelGrid) -> None:

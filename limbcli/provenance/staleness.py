@@ -57,10 +57,7 @@ class Chain:
 
         about : sites whose values in a result of the whole case are to be used
 
-        Raises
-        ------
-        CaseError
-            If the result is missing or out of date; the message has the commands that update it.
+        Raises CaseError if the result is missing or out of date; the message has the commands that update it.
         """
         found = self._read(stage, site)
         broken = found if isinstance(found, BrokenLink) else self.broken(found, about=about)
@@ -207,10 +204,7 @@ def _unlike(link: Mapping[str, Mapping[str, Any]], upstream: StageResult) -> Ite
 def check_earlier(case: Case, out: Path, sites: Iterable[Site]) -> None:
     """Check the chain behind all results of earlier stages for these sites.
 
-    Raises
-    ------
-    CaseError
-        As in `Chain.result`; a stage that has not been run is no error here.
+    Raises CaseError as in `Chain.result`; a stage that has not been run is no error here.
     """
     chain = Chain(case, out)
     for site in sites:

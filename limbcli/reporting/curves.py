@@ -26,10 +26,7 @@ def read_curves(result: StageResult, measured_depth: Array | None = None) -> tup
 
     measured_depth : (n_levels,) mm
 
-    Raises
-    ------
-    CaseError
-        If the file is missing or a value is not a number.
+    Raises CaseError if the file is missing or a value is not a number.
     """
     columns = _columns(result, result.files.get("curves", CURVES_FILE))
     depth = columns.pop(_DEPTH)

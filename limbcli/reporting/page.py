@@ -88,12 +88,8 @@ def render(template: str, facts: Mapping[str, Any], *, templates: Path | None = 
 
     facts : what the template shows; "own": the provenance of the page
 
-    Raises
-    ------
-    CaseError
-        If a user template is faulty, uses an undefined variable, or is not used by any page.
-    ToolError
-        If the built-in templates are not found, or the user's folder does not exist.
+    Raises CaseError if a user template is faulty, uses an undefined variable, or is not used by any page;
+    ToolError if the built-in templates are not found, or the user's folder does not exist.
     """
     folders = [templates_folder() / "report"]
     if templates is not None:

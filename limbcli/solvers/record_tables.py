@@ -7,11 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.errors import SolveError
 from limbcli.feb.log import check_complete, read_log
 from limbcli.feb.log_identity import check_belongs
 from limbcli.feb.outline import Outline, read_outline
-from limbcli.feb.records import Records, read_records
+from limbcli.feb.records import Records, broken_record, read_records
 from limbcli.model import Array, LogRecord
 from limbcli.solvers.solver import LOG_FILE, Simulation, Table
 
@@ -69,9 +68,9 @@ def read_tables(outline: Outline, folder: Path) -> Tables:
         path = folder / record.file
         records = read_records(path, n_columns=len(record.fields))
         if records.truncated:
-            raise _broken(path, "it is truncated in the middle of a step")
+            raise broken_record(path, "it is truncated in the middle of a step")
         if times is not None and not np.array_equal(records.times, times):
-            raise _broken(path, "its times differ from those of the other record files")
+            raise broken_record(path, "its times differ from those of the other record files")
         times = records.times
         table = _table(record, records, outline, path)
         if record.kind == "rigid_body":
@@ -95,20 +94,12 @@ def _side_by_side(one: Table, other: Table) -> Table:
 def _table(record: LogRecord, records: Records, outline: Outline, path: Path) -> Table:
     if record.kind == "rigid_body":
         if len(records.ids) != 1:
-            raise _broken(path, f"it holds {len(records.ids)} rigid bodies where one was requested")
+            raise broken_record(path, f"it holds {len(records.ids)} rigid bodies where one was requested")
         items = np.zeros(1, dtype=np.int64)
     else:
         by_place = np.arange(-1, outline.n_nodes)
         numbers = by_place if record.kind == "node" else outline.cells
         if records.ids.max() >= len(numbers) or (numbers[records.ids] < 0).any():
-            raise _broken(path, f"it contains {record.kind}s that the model does not have")
+            raise broken_record(path, f"it contains {record.kind}s that the model does not have")
         items = numbers[records.ids]
     return Table(fields=record.fields, times=records.times, items=items, values=records.values)
-
-
-def _broken(path: Path, what: str) -> SolveError:
-    return SolveError(
-        f"the record file {path.name} cannot be used: {what}",
-        where=str(path),
-        fix="run the simulation again; if it recurs, check the end of model.log",
-    )

@@ -80,20 +80,22 @@ class StartedCase:
 
 
 class CaseRun:
-    """The run of one case through the stages.
-
-    outcome : outcome so far; the outcomes of parts run in other processes are added to it
-    """
+    """The run of one case through the stages. before : failures of its parts in other processes"""
 
     def __init__(
         self, case: Case, out: Path, options: BatchOptions, progress: Progress,
-        outcome: CaseOutcome | None = None,
+        before: Sequence[FailedStage] = (),
     ):  # fmt: skip
         self.case, self.out, self.options, self.progress = case, out, options, progress
-        self.outcome = outcome or CaseOutcome(case.folder, out)
+        self.outcome, self._before = CaseOutcome(case.folder, out), before
         self.memory = Memory(out, case.subject)
         self._of_sites: dict[str, Memory] = {}
         self.chain = Chain(case, out)
+
+    @property
+    def failures(self) -> list[FailedStage]:
+        """Of all parts so far."""
+        return [*self._before, *self.outcome.failures]
 
     def first(self) -> StartedCase:
         """Run `segment`, which all sites depend on."""
@@ -129,7 +131,7 @@ class CaseRun:
         requested = self._requested(DIAGNOSE, names[0])
         files = [path for path in map(path_of, map(requested.get, ("effect_file", "templates"))) if path]
         key = key_of(DIAGNOSE, *names, *keys, *parts_of(requested), *files)
-        for failure in self.outcome.failures:
+        for failure in self.failures:
             if failure.site in names and failure.stage not in (SITE_STAGES[-1], FIT_STATES):
                 for name in names:
                     self._skip((DIAGNOSE,), name, because=f"{failure.stage} {failure.site}")
@@ -153,7 +155,7 @@ class CaseRun:
 
         made = [self._extra(each, keys) for each in extras(self.case, self.out, progress=self.progress)]
         made += self._in_socket(first, keys)
-        failed = [str(each.error) for each in self.outcome.failures]
+        failed = [str(each.error) for each in self.failures]
         requested = self._requested("report", None)
         templates = self.options.templates or path_of(requested.get("templates"))
         own = [templates] if templates else []
@@ -173,7 +175,7 @@ class CaseRun:
         given = socket_of(self.case)
         if given is None:
             return []
-        if any(each.stage == "segment" for each in self.outcome.failures):
+        if any(each.stage == "segment" for each in self.failures):
             self._skip(("limb", "socket"), None, because="segment")
             return []
         from limbcli.stages.limb import LimbOptions, limb
@@ -230,7 +232,7 @@ class CaseRun:
         sound = extra.is_current and not (folder / ERROR_FILE).exists()
         if sound and self.memory.made_since(extra.stage, extra.site):
             self.memory.remember(extra.stage, extra.site, key)
-        failed = [each for each in self.outcome.failures if each.site in (None, *extra.sites)]
+        failed = [each for each in self.failures if each.site in (None, *extra.sites)]
         if failed:
             self._skip((extra.stage,), extra.site, because=failed[0].stage, keep_result=True)
         else:
@@ -367,8 +369,7 @@ class CaseRun:
             return False
 
     def _pass_on(self, results: object) -> None:
-        several: Sequence[object] = results if isinstance(results, Sequence) else [results]
-        for each in several:
+        for each in results if isinstance(results, Sequence) else [results]:
             if isinstance(each, StageResult):
                 for line in (*each.summary, *(f"warning: {text}" for text in each.warnings)):
                     self.progress.event("note", text=line)

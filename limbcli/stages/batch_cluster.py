@@ -61,10 +61,8 @@ def together(
 ) -> list[CaseOutcome]:  # fmt: skip
     """Run all (case, output folder) pairs on a cluster or in `jobs` local processes; outcomes in input order.
 
-    Raises
-    ------
-    ToolError
-        If no scheduler answers, a worker runs different code, or the scheduler is lost during the run.
+    Raises ToolError if no scheduler answers, a worker runs different code, or the scheduler is lost during
+    the run.
     """
     with connected(scheduler=scheduler, jobs=jobs, progress=progress) as client:
         n_workers = len(client.scheduler_info(n_workers=-1)["workers"])

@@ -9,7 +9,9 @@ from dataclasses import KW_ONLY, dataclass
 from pathlib import Path
 from typing import Any
 
+from limbcli.case import Case
 from limbcli.errors import LimbError
+from limbcli.files.output_lock import one_writer, site_writer
 from limbcli.progress import Listener, Progress
 from limbcli.results import CALLED
 from limbcli.stages.batch import DIAGNOSE, CaseRun, StartedCase, opened
@@ -159,8 +161,6 @@ class _Heard:
 
 
 def _first(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
-    from limbcli.files.output_lock import one_writer
-
     turn = one_writer(part.out, wait=call.wait, progress=progress)
     with turn if part.case.is_dir() else nullcontext():
         case = opened(part.case, part.out)
@@ -172,49 +172,33 @@ def _first(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
 
 
 def _site(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
-    from limbcli.case import Case
-    from limbcli.files.output_lock import site_writer
-
     assert part.site is not None
     with site_writer(part.out, part.site, wait=call.wait, progress=progress):
-        run = CaseRun(Case.open(part.case), part.out, call.options, progress)
+        run = _opened_run(part, call, progress)
         key = run.site(part.site, part.begun.key)
     return PartOutcome(run.outcome, key=key)
 
 
 def _diagnosis(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
-    from limbcli.case import Case
-    from limbcli.files.output_lock import site_writer
-
-    own = _so_far(part)
     with ExitStack() as turns:
         for site in sorted(part.sites):  # always in the same order, to prevent deadlock
             turns.enter_context(site_writer(part.out, site, wait=call.wait, progress=progress))
-        CaseRun(Case.open(part.case), part.out, call.options, progress, own).diagnosis(part.sites, part.keys)
-    return PartOutcome(_only_new(part, own))
+        run = _opened_run(part, call, progress)
+        run.diagnosis(part.sites, part.keys)
+    return PartOutcome(run.outcome)
 
 
 def _last(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
-    from limbcli.case import Case
-    from limbcli.files.output_lock import one_writer
-
-    own = _so_far(part)
     with one_writer(part.out, wait=call.wait, progress=progress):
-        run = CaseRun(Case.open(part.case), part.out, call.options, progress, own)
+        run = _opened_run(part, call, progress)
         for each in part.failures:
             run.keep(each)
         run.last(part.begun.key, part.keys)
-    return PartOutcome(_only_new(part, own))
+    return PartOutcome(run.outcome)
 
 
-def _so_far(part: BatchTask) -> CaseOutcome:
-    """A new outcome that starts with the failures of the preceding parts."""
-    return CaseOutcome(part.case, part.out, failures=list(part.failures))
-
-
-def _only_new(part: BatchTask, own: CaseOutcome) -> CaseOutcome:
-    del own.failures[: len(part.failures)]
-    return own
+def _opened_run(part: BatchTask, call: Call, progress: Progress) -> CaseRun:
+    return CaseRun(Case.open(part.case), part.out, call.options, progress, before=part.failures)
 
 
 _KINDS = {FIRST: _first, SITE: _site, DIAGNOSIS: _diagnosis, LAST: _last}

@@ -10,7 +10,6 @@ import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,9 +19,12 @@ from limbcli.case.reading import CaseReading
 from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError, MeasurementError
 from limbcli.errors.problems import Problem, errors_of
+from limbcli.measurement.elastography import check_maps, check_mean, check_width, map_file
+from limbcli.measurement.indentation import check_levels, check_trace
 from limbcli.measurement.levels import FEWEST_LOADING
 from limbcli.progress import SILENT, Progress
 from limbcli.site_model.cycle_words import cycle_lines
+from limbcli.site_model.mesh_checks import SKIN_BONE_TOLERANCE, skin_bone_of_levels
 from limbcli.site_model.site_levels import levels_of
 from limbcli.site_model.site_states import state_problems
 from limbcli.stages.check_geometry import geometry_findings
@@ -107,11 +109,11 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     for site in sites if isinstance(sites, list) else []:
         if isinstance(site, dict):
             noise = stated_layer_noise(site)
-            listed += [(site.get("levels"), partial(_read_levels, noise=noise))]
+            listed += [(site.get("levels"), _checked(check_levels, noise=noise))]
             states = site.get("state")
             several = [each for each in states if isinstance(each, dict)] if isinstance(states, list) else []
-            listed += [(each.get("levels"), partial(_read_levels, noise=noise)) for each in several]
-            listed += [(site.get("trace"), _read_trace)]
+            listed += [(each.get("levels"), _checked(check_levels, noise=noise)) for each in several]
+            listed += [(site.get("trace"), _checked(check_trace))]
             listed += [(site.get("swe_maps"), _read_maps)]
     return [
         (name, folder / name, reader)
@@ -120,21 +122,12 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
     ]
 
 
-def _read_levels(path: Path, *, noise: Any) -> list[Problem]:
-    from limbcli.measurement.indentation import check_levels
-
-    return check_levels(path, noise=noise)[1] if path.is_file() else []
-
-
-def _read_trace(path: Path) -> list[Problem]:
-    from limbcli.measurement.indentation import check_trace
-
-    return check_trace(path)[1] if path.is_file() else []
+def _checked(check: Callable[..., tuple[object, list[Problem]]], **options: Any) -> Reader:
+    """The problems that a check finds in a file; none in a folder."""
+    return lambda path: check(path, **options)[1] if path.is_file() else []
 
 
 def _read_maps(folder: Path) -> list[Problem]:
-    from limbcli.measurement.elastography import check_maps
-
     return check_maps(folder)[1] if folder.is_dir() else []
 
 
@@ -261,8 +254,6 @@ def _too_few(site: Site) -> list[Problem]:
 
 def _other_distance(site: Site, file: str) -> list[Problem]:
     """Warn if the site's skin_bone_mm differs from the distance read at level 0."""
-    from limbcli.site_model.mesh_checks import SKIN_BONE_TOLERANCE, skin_bone_of_levels
-
     seen = skin_bone_of_levels(site)
     if site.skin_bone is None or seen is None or abs(site.skin_bone / seen - 1) <= SKIN_BONE_TOLERANCE:
         return []
@@ -275,9 +266,6 @@ def _other_distance(site: Site, file: str) -> list[Problem]:
 
 def _missing_maps(site: Any, probe_length: float, known: Sequence[Problem]) -> list[Problem]:
     """Shear-wave maps that are missing for a row of levels.csv, too wide, or contradict levels.csv."""
-    from limbcli.measurement.elastography import check_maps, check_mean, check_width, map_file
-    from limbcli.measurement.indentation import check_levels
-
     levels, _ = check_levels(site.levels)
     if site.swe_maps is None or levels is None:
         return []

@@ -207,10 +207,8 @@ def _result(out: Path, content: dict[str, Any]) -> StageResult:
 def read_cohort(out: Path) -> StageResult:
     """Read the result of an earlier run from `out`.
 
-    Raises
-    ------
-    CaseError
-        If it is missing or unreadable, or if the table and the page are not of the same run as the result.
+    Raises CaseError if it is missing or unreadable, or if the table and the page are not of the same run as
+    the result.
     """
     with record_of(out / RESULT, STAGE, f"limbcli cohort TABLE --out {out}") as content:
         check_seal(content)

@@ -12,7 +12,7 @@ from typing import Any, Literal
 
 from packaging.requirements import Requirement
 
-from limbcli.config import templates_folder
+from limbcli.config import cores, templates_folder
 from limbcli.errors import LimbError, ToolError
 from limbcli.progress import SILENT, Progress
 from limbcli.solvers import choose, is_named
@@ -164,8 +164,7 @@ def _tested(kind: str, febio: Path | None, progress: Progress) -> Finding:
 
 
 def _computer() -> list[Finding]:
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    findings = [Finding("computer", "cores", "good", str(cores))]
+    findings = [Finding("computer", "cores", "good", str(cores()))]
     memory = memory_bytes()
     if memory is None:
         return [*findings, Finding("computer", "memory", "note", "not reported by the system")]

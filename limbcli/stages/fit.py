@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -150,13 +150,11 @@ def _fit_site(
                 "uncertainty of the parameters cannot be determined"
             )
         elif options.intervals:
-            search = _IntervalSearch(
-                match=match, known=known, steps=steps, max_solves=options.most_solves(_MOST_SOLVES),
-                progress=progress,
-            )  # fmt: skip
+            most = options.most_solves(_MOST_SOLVES)
+            search = partial(_intervals, match, known, steps, max_solves=most, progress=progress)
             # the wide ones first, as the solves at their ends serve the narrower ones too
-            wide = search.intervals(modes) if len(modes) else None
-            intervals = of_noise = search.intervals()
+            wide = search(modes=modes) if len(modes) else None
+            intervals = of_noise = search()
             if wide is not None:
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
@@ -200,34 +198,23 @@ def _write_checks(
         write_boundary_check(changed, depths, writer, parameters=parameters)
 
 
-@dataclass(frozen=True, eq=False, kw_only=True)
-class _IntervalSearch:
-    """What profile likelihoods of both steps need.
+def _intervals(
+    match: CurveMatch, known: Sequence[Stiffness], steps: Sequence[FittedStep], *, modes: Array | None = None,
+    max_solves: int, progress: Progress,
+) -> tuple[Intervals, Intervals]:  # fmt: skip
+    """Profile-likelihood intervals of both steps.
 
     known : c and its uncertainty at each step; max_solves : greatest number of additional simulations
+    modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
     """
-
-    match: CurveMatch
-    known: Sequence[Stiffness]
-    steps: Sequence[FittedStep]
-    max_solves: int
-    progress: Progress
-
-    def intervals(self, modes: Array | None = None) -> tuple[Intervals, Intervals]:
-        """Profile-likelihood intervals of both steps.
-
-        modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
-        """
-        self.match.curve.expect(self.max_solves + _FIRST_SOLVES)
-        full = force_intervals(
-            self.match, self.known[-1], self.steps[-1].theta,
-            max_solves=self.max_solves, shape_modes=modes, progress=self.progress,
-        )  # fmt: skip
-        first = force_intervals(
-            self.match, self.known[0], self.steps[0].theta, free=(0,),
-            max_solves=_FIRST_SOLVES, shape_modes=modes,
-        )  # fmt: skip
-        return first, full
+    match.curve.expect(max_solves + _FIRST_SOLVES)
+    full = force_intervals(
+        match, known[-1], steps[-1].theta, max_solves=max_solves, shape_modes=modes, progress=progress
+    )
+    first = force_intervals(
+        match, known[0], steps[0].theta, free=(0,), max_solves=_FIRST_SOLVES, shape_modes=modes
+    )
+    return first, full
 
 
 def _tissue_c(

@@ -25,6 +25,7 @@ from limbcli.errors import CaseError
 from limbcli.errors.pasted_commands import typed
 from limbcli.files.atomic import atomic_folder
 from limbcli.files.temporary_folders import scratch_folder
+from limbcli.imaging.surface import write_surface
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
@@ -66,10 +67,8 @@ class PhantomOptions:
 def refuse_unheard(plan: SynthOptions) -> None:
     """Refuse options of tissue and measurement for a case without measurements.
 
-    Raises
-    ------
-    CaseError
-        If any option of `plan` except the element (which case.toml also states) is not the default.
+    Raises CaseError if any option of `plan` except the element (which case.toml also states) is not the
+    default.
     """
     usual = SynthOptions()
     if replace(plan, seed=usual.seed, element=None) != usual:
@@ -149,7 +148,7 @@ def _write_geometry(subject: Subject, volume: SimulatedVolume, work: Path) -> No
     folder.mkdir()
     truth.write_labels(folder / LABELS, volume.labels, subject.grid)
     for name, surface in truth.surfaces(subject).items():
-        truth.write_surface(folder / f"{name}.ply", surface)
+        write_surface(folder / f"{name}.ply", surface)
 
 
 def _write_truth(

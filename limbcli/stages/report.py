@@ -71,9 +71,10 @@ def _write_page(
     files = save_pictures(reportlets, writer.work / "figures")
     for name, path in files.items():
         writer.files[f"figure_{name}"] = f"figures/{path.name}"
-    case = page.case
+    case, face = page.case, page.case.probe
     facts = {
-        "subject": case.subject, "limb": case.limb, "probe": _probe(case), "sites": case.sites,
+        "subject": case.subject, "limb": case.limb, "sites": case.sites,
+        "probe": f"{face.name}, {face.length:g} × {face.width:g} mm",
         "own": own, "overview": glance, "groups": chapters, "shown": embed(reportlets, files),
         "has_scene": any(each.scene for reportlet in reportlets for each in reportlet.pictures),
     }  # fmt: skip
@@ -81,10 +82,6 @@ def _write_page(
     writer.file("page", PAGE_FILE).write_text(html, encoding="utf-8")
     writer.file("methods", METHODS_FILE).write_text(methods_text(page, own), encoding="utf-8")
     progress.event("task", name="report: drawing", done=1, total=1)
-
-
-def _probe(case: Case) -> str:
-    return f"{case.probe.name}, {case.probe.length:g} × {case.probe.width:g} mm"
 
 
 def _data(page: ReportData, glance: Overview) -> dict[str, Any]:

@@ -33,7 +33,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.provenance.requested_options import requested_by_options
-from limbcli.results import StageResult, StageWriter, open_stage, read_result
+from limbcli.results import StageResult, StageWriter, data_if_there, open_stage, read_result
 from limbcli.stages.segmenting.assumed import from_assumed
 from limbcli.stages.segmenting.label_maps import labelled_limb
 from limbcli.stages.segmenting.possible_sites import report_places
@@ -138,10 +138,7 @@ def edited_labels(out: Path) -> Path | None:
     path = out / "segment" / LABELS
     if not path.is_file():
         return None
-    try:
-        before = read_result(out, "segment").data
-    except CaseError:
-        return path
+    before = data_if_there(out, "segment")
     changed = sha256(path) != before.get("labels_sha256")
     return path if changed or before.get("source") == EDITED else None
 

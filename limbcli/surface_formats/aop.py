@@ -97,10 +97,7 @@ def read_aop(path: Path) -> tuple[Array, list[IntArray]]:
 def read_aop_limb(path: Path) -> AopLimb:
     """The limb of a file with its side and landmarks.
 
-    Raises
-    ------
-    OSError
-        If it is not an AAOP1 file of cylindrical coordinates, or is damaged.
+    Raises OSError if it is not an AAOP1 file of cylindrical coordinates, or is damaged.
     """
     text = path.read_bytes().decode("latin-1")
     lines = [each.strip() for each in re.split(r"\r\n|\r|\n", text)]
@@ -191,10 +188,7 @@ def aop_limb(
     points : (n, 3), mm, z along the limb to proximal, y to the back; triangles : (m, 3); landmarks : points
     (n, 3) on the surface by name. Where a slice has several crossings at an angle, the outermost counts.
 
-    Raises
-    ------
-    MeshError
-        If few slices surround the axis: the limb lies across z, or the surface has holes.
+    Raises MeshError if few slices surround the axis: the limb lies across z, or the surface has holes.
     """
     low, high = float(points[:, 2].min()), float(points[:, 2].max())
     inset = min(_INSET, 0.01 * (high - low))

@@ -34,10 +34,7 @@ _WHOLE = frozenset({".vtk", ".vtp", ".vtu"})  # their arrays of points follow th
 def has_colours(path: Path) -> bool:
     """Whether a surface file holds colours; False where it cannot be told.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read.
+    Raises OSError if the file cannot be read.
     """
     suffix = path.suffix.lower()
     if suffix == ".stl":

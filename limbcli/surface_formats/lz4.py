@@ -10,10 +10,7 @@ from __future__ import annotations
 def unpacked(block: bytes, size: int) -> bytes:
     """The `size` bytes of a block.
 
-    Raises
-    ------
-    ValueError
-        If it is damaged.
+    Raises ValueError if it is damaged.
 
     >>> unpacked(b"\\x23ab\\x02\\x00\\x10c", 10)
     b'ababababac'

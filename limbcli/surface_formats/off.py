@@ -19,10 +19,7 @@ _KEYWORD = re.compile(r"(ST)?C?N?(4)?(n)?OFF(\s+BINARY)?\b")
 def read_off(path: Path) -> tuple[Array, list[IntArray]]:
     """Points (n, 3) as in the file, and its polygons by their number of corners.
 
-    Raises
-    ------
-    OSError
-        If it is not an OFF file as text, has more than three dimensions, or ends early.
+    Raises OSError if it is not an OFF file as text, has more than three dimensions, or ends early.
     """
     content = path.read_bytes().decode("latin-1")
     lines = [line for each in content.splitlines() if (line := each.partition("#")[0].strip())]

@@ -24,10 +24,7 @@ _VOLUMES = frozenset({10, 11, 12, 13, 14, 24, 25, 26, 27, 29, 42})
 def by_length(corners: IntArray, ends: IntArray) -> list[IntArray]:
     """Polygons (n, k), one array for each k: the corners (m,) of all in a row, and the end of each.
 
-    Raises
-    ------
-    OSError
-        If an end lies before its start or beyond the corners.
+    Raises OSError if an end lies before its start or beyond the corners.
 
     >>> [each.tolist() for each in by_length(np.array([0, 1, 2, 4, 5, 6, 7, 2, 1, 0]), np.array([3, 7, 10]))]
     [[[0, 1, 2], [2, 1, 0]], [[4, 5, 6, 7]]]
@@ -64,10 +61,8 @@ def from_strips(corners: IntArray, ends: IntArray) -> list[IntArray]:
 def from_cells(corners: IntArray, ends: IntArray, types: IntArray) -> list[IntArray]:
     """The polygons of an unstructured grid of VTK; its points and lines are left out.
 
-    Raises
-    ------
-    OSError
-        If it holds no surface but cells that fill a volume, or a cell has a wrong number of corners.
+    Raises OSError if it holds no surface but cells that fill a volume, or a cell has a wrong number of
+    corners.
     """
     if len(types) != len(ends):
         raise OSError(f"it has {len(ends)} cells, but types of {len(types)}")

@@ -75,12 +75,8 @@ class StatedFrame:
 def stated_frame(path: Path) -> StatedFrame:
     """The frame and unit that a surface file states.
 
-    Raises
-    ------
-    CaseError
-        If it states two frames or units, or a frame that is not known.
-    OSError
-        If it cannot be read.
+    Raises CaseError if it states two frames or units, or a frame that is not known; OSError if it cannot be
+    read.
     """
     read = {".stl": _of_stl, ".ply": _of_ply, ".vtk": _of_vtk, ".vtp": _of_vtk_xml, ".vtu": _of_vtk_xml,
             ".3mf": _of_3mf}.get(path.suffix.lower(), _of_comments)  # fmt: skip

@@ -20,10 +20,7 @@ _LOOP = re.compile(rb"\bendloop\b", re.IGNORECASE)
 def read_stl(path: Path) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]:
     """Points (n, 3), each once, and triangles [(m, 3)].
 
-    Raises
-    ------
-    OSError, ValueError
-        If it ends early, or a facet is no triangle or no numbers.
+    Raises OSError or ValueError if it ends early, or a facet is no triangle or no numbers.
     """
     content = path.read_bytes()
     told = int(np.frombuffer(content, "<u4", 1, _HEAD - 4)[0]) if len(content) >= _HEAD else 0

@@ -6,8 +6,10 @@ Extension (objects in other parts of the package, as PrusaSlicer and Bambu Studi
 
 from __future__ import annotations
 
+import contextlib
 import posixpath
 import zipfile
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -27,19 +29,12 @@ _DEFAULT_UNIT = "millimeter"
 def read_3mf(path: Path) -> tuple[Array, list[IntArray]]:
     """Points (n, 3) in the file's own unit, and the triangles (m, 3) of each body.
 
-    Raises
-    ------
-    OSError
-        If it is not a 3MF file, is damaged, or refers to an object that does not exist.
+    Raises OSError if it is not a 3MF file, is damaged, or refers to an object that does not exist.
     """
-    try:
-        with zipfile.ZipFile(path) as package:
-            parts = _Package(package)
-            root, build = parts.root, parts.part(parts.root).find("{*}build")
-            for item in build.iterfind("{*}item") if build is not None else ():
-                parts.add(_path(item, root), item.get("objectid", ""), _transform(item), 0)
-    except DAMAGED as error:
-        raise OSError(f"it is not a 3MF file, or damaged ({error})") from error
+    with _opened(path) as parts:
+        root, build = parts.root, parts.part(parts.root).find("{*}build")
+        for item in build.iterfind("{*}item") if build is not None else ():
+            parts.add(_path(item, root), item.get("objectid", ""), _transform(item), 0)
     if not parts.points:
         return np.zeros((0, 3)), []
     return np.concatenate(parts.points), parts.faces
@@ -48,15 +43,17 @@ def read_3mf(path: Path) -> tuple[Array, list[IntArray]]:
 def unit_of_3mf(path: Path) -> str:
     """The unit of length of a 3MF file.
 
-    Raises
-    ------
-    OSError
-        If it cannot be read.
+    Raises OSError if it cannot be read.
     """
+    with _opened(path) as parts:
+        return str(parts.part(parts.root).get("unit", _DEFAULT_UNIT))
+
+
+@contextlib.contextmanager
+def _opened(path: Path) -> Iterator[_Package]:
     try:
         with zipfile.ZipFile(path) as package:
-            parts = _Package(package)
-            return str(parts.part(parts.root).get("unit", _DEFAULT_UNIT))
+            yield _Package(package)
     except DAMAGED as error:
         raise OSError(f"it is not a 3MF file, or damaged ({error})") from error
 

@@ -42,12 +42,8 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
     Other polygons are split into triangles. m is 0 if the file contains only other cells; coordinates may be
     NaN, which the caller must check.
 
-    Raises
-    ------
-    OSError
-        If the file cannot be read, however it is corrupt, or refers to points that do not exist.
-    CaseError
-        If the frame or the unit that it states is not known, or contradicts another in it.
+    Raises OSError if the file cannot be read, however it is corrupt, or refers to points that do not exist;
+    CaseError if the frame or the unit that it states is not known, or contradicts another in it.
     """
     read = {
         ".ply": _ply, ".obj": _obj, ".stl": read_stl, ".3mf": read_3mf, ".off": read_off, ".vtk": read_vtk,

@@ -30,10 +30,7 @@ _ENDS_EARLY = "it ends before all that its header tells of"
 def read_vtk(path: Path) -> tuple[Array, list[IntArray]]:
     """Points (n, 3) as in the file, and its polygons by their number of corners.
 
-    Raises
-    ------
-    OSError
-        If it is not a legacy VTK file, holds another data set than a surface, or is damaged.
+    Raises OSError if it is not a legacy VTK file, holds another data set than a surface, or is damaged.
     """
     file = _open(path.read_bytes())
     points, kind = np.zeros((0, 3)), ""

@@ -30,10 +30,7 @@ _DAMAGED = (*DAMAGED, IndexError, TypeError, binascii.Error)
 def read_vtk_xml(path: Path) -> tuple[Array, list[IntArray]]:
     """Points (n, 3) as in the file, all pieces together, and the polygons by their number of corners.
 
-    Raises
-    ------
-    OSError
-        If it is not such a file, holds another data set or no surface, or is damaged.
+    Raises OSError if it is not such a file, holds another data set or no surface, or is damaged.
     """
     try:
         return _surface(_open(path))
@@ -44,10 +41,7 @@ def read_vtk_xml(path: Path) -> tuple[Array, list[IntArray]]:
 def field_text(path: Path, name: str) -> str:
     """The text array `name` of the field data; "" if there is none.
 
-    Raises
-    ------
-    OSError
-        If the file or this array cannot be decoded.
+    Raises OSError if the file or this array cannot be decoded.
     """
     try:
         file = _open(path)

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from limbcli.errors import SolveError
-from limbcli.feb.log import LogReader, check_complete, read_log, read_records
+from limbcli.feb.log import LogReader, check_complete, read_log
+from limbcli.feb.records import read_records
 
 
 def test_a_complete_log_tells_version_cost_and_end(data: Path) -> None:

@@ -16,9 +16,9 @@ def subject():
 
 
 def volume_and_edges(surface):
-    corner = surface.points[surface.triangles]
+    corner = surface.points[surface.faces]
     volume = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6
-    edges = np.sort(surface.triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     _, count = np.unique(edges, axis=0, return_counts=True)
     return volume, count
 

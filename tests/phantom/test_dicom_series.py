@@ -9,6 +9,7 @@ import pydicom
 import pytest
 
 from limbcli.files.atomic import sha256
+from limbcli.imaging.surface import write_surface
 from limbcli.phantom import mri, truth
 from limbcli.phantom.anatomy import Tissue
 from limbcli.phantom.dicom_series import write_series
@@ -30,7 +31,7 @@ def test_fractions_fill_every_voxel_and_hold_the_limbs_volume(subject, volume):
     assert volume.fractions.sum(axis=0) == pytest.approx(1.0, abs=1e-6)
     voxel = subject.grid.spacing.prod()
     surface = truth.surfaces(subject, edge=3.0)["skin"]
-    corner = surface.points[surface.triangles]
+    corner = surface.points[surface.faces]
     expected = np.einsum("ij,ij->", corner[:, 0], np.cross(corner[:, 1], corner[:, 2])) / 6
     limb = voxel * (1 - volume.fractions[Tissue.AIR] - volume.fractions[Tissue.MARKER]).sum()
     assert limb == pytest.approx(expected, rel=0.005)
@@ -76,10 +77,10 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, subject, volume):
 
 def test_a_written_surface_reads_back(tmp_path, subject):
     surface = truth.surfaces(subject, edge=6.0)["bone_tibia"]
-    truth.write_surface(tmp_path / "tibia.ply", surface)
+    write_surface(tmp_path / "tibia.ply", surface)
     read = meshio.read(tmp_path / "tibia.ply")
     assert read.points == pytest.approx(surface.points, abs=1e-4)
-    assert np.array_equal(read.cells_dict["triangle"], surface.triangles)
+    assert np.array_equal(read.cells_dict["triangle"], surface.faces)
 
 
 def test_label_map_has_the_images_geometry_in_ras(tmp_path, subject, volume):

@@ -60,8 +60,6 @@ def test_a_second_search_for_intervals_announces_its_own_simulations(monkeypatch
     monkeypatch.setattr(stage, "force_intervals", lambda *_, **__: told.append(curve.at_most))
     step = SimpleNamespace(theta=None)
     for curve.n_solves in (8, 22):
-        stage._IntervalSearch(
-            match=CurveMatch(SolvedPoints(curve), None, None), known=[None, None], steps=[step, step],
-            max_solves=12, progress=SILENT,
-        ).intervals()  # fmt: skip
+        match = CurveMatch(SolvedPoints(curve), None, None)
+        stage._intervals(match, [None, None], [step, step], max_solves=12, progress=SILENT)
     assert told == [22, 22, 36, 36]

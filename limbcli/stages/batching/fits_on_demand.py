@@ -13,13 +13,12 @@ from pathlib import Path
 from typing import Any
 
 from limbcli.case import Case
-from limbcli.errors import CaseError
 from limbcli.files.atomic import sha256
 from limbcli.fitting.options import FitOptions
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.requested_options import options_of
 from limbcli.provenance.staleness import Chain
-from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
+from limbcli.results import ERROR_FILE, StageResult, result_if_there, stage_folder
 from limbcli.version import __version__
 
 
@@ -37,25 +36,18 @@ class FitOnDemand:
 def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[FitOnDemand]:
     """The fits on demand found in `out`; an unreadable one is skipped (the report shows it)."""
     names = tuple(site.name for site in case.sites)
-    joint = _there(out, "fit-joint", None)
+    joint = result_if_there(out, "fit-joint")
     if joint is not None:
         sites = tuple(each for each in joint.data.get("sites", ()) if each in names)
         if sites:
             redo = _remade_joint(case, out, joint, sites, progress)
             yield FitOnDemand("fit-joint", None, sites, _is_current(case, out, joint, sites), redo)
     for name in names:
-        compared = _there(out, "fit-elements", name)
+        compared = result_if_there(out, "fit-elements", site=name)
         if compared is not None:
             redo = _remade_elements(case, out, compared, name, progress)
             current = _is_current(case, out, compared, (name,))
             yield FitOnDemand("fit-elements", name, (name,), current, redo)
-
-
-def _there(out: Path, stage: str, site: str | None) -> StageResult | None:
-    try:
-        return read_result(out, stage, site=site)
-    except CaseError:
-        return None
 
 
 def _requested(found: StageResult) -> Mapping[str, Any]:
@@ -66,7 +58,7 @@ def _requested(found: StageResult) -> Mapping[str, Any]:
 
 def made_by_hand(case: Case, out: Path, site: str, *, solver: str) -> bool:
     """Whether a site's fit is of the current model and measurement, this version and this solver."""
-    found = _there(out, "fit", site)
+    found = result_if_there(out, "fit", site=site)
     if found is None or (stage_folder(out, "fit", site) / ERROR_FILE).exists():
         return False
     same_solver = solver in ("auto", found.data.get("solver"))

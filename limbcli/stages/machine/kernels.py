@@ -8,7 +8,6 @@ them.
 from __future__ import annotations
 
 import gc
-import os
 import sys
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli import background_processes
-from limbcli.config import at_most
+from limbcli.config import available_cores
 from limbcli.errors import LimbError
 
 _MODULE = "limbcli.stages.machine.kernels"  # explicit, because __name__ differs when run as a program
@@ -37,8 +36,7 @@ def compile_ahead(*, solver: str = "reference", febio: Path | None = None) -> No
             return
     except LimbError:  # the stage that needs the solver reports it
         return
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    if at_most(cores) > 1 and not background_processes.at_work() and not kernels_are_there():
+    if available_cores() > 1 and not background_processes.at_work() and not kernels_are_there():
         for parts in _PROCESSES:
             background_processes.start(_MODULE, *parts)
 

@@ -76,12 +76,11 @@ def write_simulation(
         curve = np.stack([simulation.times, found.depth, found.force], axis=1)[simulation.times > 0]
     rows = ([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist())
     write_rows(writer.file("force_depth", "force-depth.csv"), COLUMNS, rows)
+    at_levels = at_must_points(curve, outline.must_points).tolist()
     writer.data.update(
-        probe=body,
-        max_depth_mm=float(curve[:, 1].max()),
-        max_force_n=float(curve[:, 2].max()),
-        levels=_levels(curve, outline.must_points),
-    )
+        probe=body, max_depth_mm=float(curve[:, 1].max()), max_force_n=float(curve[:, 2].max()),
+        levels=[dict(zip(COLUMNS, row, strict=True)) for row in at_levels],
+    )  # fmt: skip
     writer.summary.append(f"{curve[-1, 2]:.3f} N at {curve[-1, 1]:.2f} mm")
     draw_curve(
         writer.file("picture", "force-depth.png"), curve, outline.must_points, simulation, levels, site
@@ -90,13 +89,10 @@ def write_simulation(
 
 def curve_warnings(simulation: Simulation, body: str) -> list[str]:
     """A warning if the curve may be another body's."""
-    found = []
     names = _with_curve(simulation)
-    if len(names) > 1 and body != _PROBE:
-        found.append(
-            f"{' and '.join(names)} log z and Fz and none is called {_PROBE}: the curve is that of {body}"
-        )
-    return found
+    if len(names) < 2 or body == _PROBE:
+        return []
+    return [f"{' and '.join(names)} log z and Fz and none is called {_PROBE}: the curve is that of {body}"]
 
 
 def log_warnings(simulation: Simulation, *, own: bool) -> list[str]:
@@ -127,10 +123,6 @@ def force_depth_rows(simulation: Simulation, body: str) -> Array:
     """(n_steps, 3): time s, depth mm, force N of every converged step, without the initial state."""
     rows = np.stack([simulation.times, simulation.probe_depth(body), simulation.probe_force(body)], axis=1)
     return np.asarray(rows[simulation.times > 0])
-
-
-def _levels(curve: Array, must_points: tuple[float, ...]) -> list[dict[str, float]]:
-    return [dict(zip(COLUMNS, row, strict=True)) for row in at_must_points(curve, must_points).tolist()]
 
 
 def at_must_points(curve: Array, must_points: tuple[float, ...]) -> Array:

@@ -11,17 +11,14 @@ import meshio
 import numpy as np
 
 from limbcli.feb.read import read_feb
-from limbcli.meshing.export import fibre_rows
+from limbcli.meshing.export import VTK_TYPES, fibre_rows
 from limbcli.model import Array, LimbModel
 from limbcli.results import StageWriter
 from limbcli.solvers.solver import Simulation, Table
 
 FOLDER = "vtu"
 SERIES = "vtu/series.pvd"
-_MESHIO = {
-    "tet4": "tetra", "tet10": "tetra10", "hex8": "hexahedron", "penta6": "wedge",
-    "tri3": "triangle", "tri6": "triangle6", "quad4": "quad",
-}  # fmt: skip
+
 _TENSORS = {
     "stress": ("sx", "sy", "sz", "sxy", "syz", "sxz"),
     "deformation_gradient": tuple(f"F{row}{column}" for row in "xyz" for column in "xyz"),
@@ -60,7 +57,7 @@ def write_step(model: LimbModel, simulation: Simulation, k: int, path: Path) -> 
     spans = list(itertools.pairwise(bounds))
     meshio.Mesh(
         points=mesh.points,
-        cells=[(_MESHIO[block.kind], block.cells) for block in mesh.blocks],
+        cells=[(VTK_TYPES[block.kind], block.cells) for block in mesh.blocks],
         point_data={"displacement": displacement(model, simulation, k)},
         cell_data={
             "part": [np.full(len(block.cells), n) for n, block in enumerate(mesh.blocks)],

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -133,13 +132,6 @@ def _widened(labels: Volume, limb: Volume) -> Volume:
 def _resampled(source: Volume, grid: Volume) -> NDArray:
     """The source at the voxel nearest to each one of the grid (0 outside)."""
     values = np.empty(grid.shape, source.values.dtype)
-    for k, layer in enumerate(_sampled(source, grid)):
-        values[:, :, k] = layer
-    return values
-
-
-def _sampled(source: Volume, grid: Volume) -> Iterator[NDArray]:
-    """The source at the voxel nearest to each one of the grid (0 outside), plane by plane along k."""
     i, j = np.meshgrid(*(np.arange(n) for n in grid.shape[:2]), indexing="ij")
     for k in range(grid.shape[2]):
         index = np.stack([i.ravel(), j.ravel(), np.full(i.size, k)], axis=1)
@@ -147,4 +139,5 @@ def _sampled(source: Volume, grid: Volume) -> Iterator[NDArray]:
         valid = ((at >= 0) & (at < source.shape)).all(axis=1)
         plane = np.zeros(i.size, source.values.dtype)
         plane[valid] = source.values[tuple(at[valid].T)]
-        yield plane.reshape(grid.shape[:2])
+        values[:, :, k] = plane.reshape(grid.shape[:2])
+    return values

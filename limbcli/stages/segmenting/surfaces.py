@@ -146,11 +146,8 @@ def _of_aop(path: Path, case: Case) -> list[str]:
 def read_surfaces(case: Case) -> tuple[dict[str, Triangles], dict[str, Path], list[str]]:
     """Skin and bones by name as given, the files named by the case, and what was left out of the skin.
 
-    Raises
-    ------
-    CaseError
-        If one cannot be read, its size is not that of a body in mm, there is no bone, or a bone lies in
-        another piece of the skin's file than the largest.
+    Raises CaseError if one cannot be read, its size is not that of a body in mm, there is no bone, or a bone
+    lies in another piece of the skin's file than the largest.
     """
     assert case.imaging.skin is not None
     names = names_of_files(case.imaging.bones)
@@ -210,8 +207,7 @@ def _bodies(surface: Triangles, path: Path) -> dict[str, Triangles]:
             where=str(path),
             fix='add `bones = ["file", ...]` to [imaging], or give all bodies in one file',
         )
-    named = dict(zip(names_of_bodies(skin, bones), bones, strict=True))
-    return {SKIN: skin, **named}
+    return {SKIN: skin, **dict(zip(names_of_bodies(skin, bones), bones, strict=True))}
 
 
 def _single_bones(bones: Triangles) -> list[Triangles]:
@@ -224,9 +220,7 @@ def _whole(bone: Triangles) -> Triangles:
     """The bone without the inner surfaces of its cavities."""
     pieces = skin_and_bones(bone)
     kept = without_cavities(pieces)
-    if len(kept) == len(pieces):
-        return bone
-    return join(kept)
+    return bone if len(kept) == len(pieces) else join(kept)
 
 
 def _read(path: Path, imaging: Imaging) -> Triangles:

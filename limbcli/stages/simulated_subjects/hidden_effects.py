@@ -48,10 +48,8 @@ class Hidden:
 def hide(text: str) -> Hidden:
     """The effect given by "force-zero=1.5" (value of the first parameter) or "skin-layer" (typical size).
 
-    Raises
-    ------
-    CaseError
-        If the effect is unknown or cannot be hidden, or the size is not a number within its bounds.
+    Raises CaseError if the effect is unknown or cannot be hidden, or the size is not a number within its
+    bounds.
     """
     name, _, size = text.partition("=")
     found = effect(name, option="--effect")
@@ -60,9 +58,8 @@ def hide(text: str) -> Hidden:
     if size:
         theta = {**theta, first.name: _number(size, found)}
     model, readings = _MODELS.get(name), _READINGS.get(name)
-    if model is None and readings is None and not found.solves:
-        raise _cannot(found)
-    if model is None and readings is None and (found.febio_only or found.kind == "numerical"):
+    is_its_own = found.solves and not found.febio_only and found.kind != "numerical"
+    if model is None and readings is None and not is_its_own:
         raise _cannot(found)
     in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
     waves = found.waves
@@ -91,10 +88,8 @@ def in_order(hidden: Sequence[Hidden]) -> tuple[Hidden, ...]:
 def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None:
     """Refuse skin and fat as hidden effects if the mesh has separate `layers`.
 
-    Raises
-    ------
-    CaseError
-        If such an effect is among them: it acts at a depth at which the mesh has layers instead of tissue.
+    Raises CaseError if such an effect is among them: it acts at a depth at which the mesh has layers instead
+    of tissue.
     """
     found = [each.name for each in hidden if each.name in _BELOW_SKIN]
     if layers and found:
@@ -123,19 +118,9 @@ def _number(size: str, found: Effect) -> float:
 
 
 def _cannot(found: Effect) -> CaseError:
-    able = [
-        *_READINGS,
-        *_MODELS,
-        "adipose-layer",
-        "inclusion",
-        "nonlinearity",
-        "contraction",
-        "friction",
-        "tilt",
-    ]
-    return CaseError(
-        f"{found.name} cannot be hidden in simulated data", where="--effect", fix=suggestion(found.name, able)
-    )
+    own = ("adipose-layer", "inclusion", "nonlinearity", "contraction", "friction", "tilt")
+    fix = suggestion(found.name, [*_READINGS, *_MODELS, *own])
+    return CaseError(f"{found.name} cannot be hidden in simulated data", where="--effect", fix=fix)
 
 
 # ---------------------------------------------------------------- in the tissue, otherwise parametrised

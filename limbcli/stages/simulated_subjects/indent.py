@@ -62,12 +62,8 @@ def indent(
     change_for_waves : change of the model whose law gives the speeds; None: that of `press`
     borders : depths (2,) of the lower borders of skin and fat at rest, mm, to be tracked
 
-    Raises
-    ------
-    SolveError
-        If the simulation fails before three levels are reached.
-    MeasurementError
-        If a border does not lie in the model's tissue.
+    Raises SolveError if the simulation fails before three levels are reached; MeasurementError if a border
+    does not lie in the model's tissue.
     """
     expected = skin_bone_distance(press.meshed)
     cap = min(_DEEPEST, protocol.max_strain * expected) if expected else _DEEPEST

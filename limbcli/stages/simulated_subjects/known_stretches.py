@@ -39,10 +39,7 @@ class TrueState:
 def parse_stretches(texts: list[str], *, option: str) -> dict[str, float]:
     """Stretches by the state's name, from "STATE=STRETCH" of the command line.
 
-    Raises
-    ------
-    CaseError
-        If a text is not of this form, its stretch is out of bounds, or a state is named twice.
+    Raises CaseError if a text is not of this form, its stretch is out of bounds, or a state is named twice.
 
     >>> parse_stretches(["bent=0.8", "straight=1.15"], option="--stretch-along")
     {'bent': 0.8, 'straight': 1.15}
@@ -76,10 +73,8 @@ def known_stretches(
 def check_stretches(case: Case, sites: tuple[Site, ...], known: KnownStretches) -> None:
     """Check that the true stretches match the sites' states.
 
-    Raises
-    ------
-    CaseError
-        If stretches are given for states that no site has, or a state's true stretch is unknown or invalid.
+    Raises CaseError if stretches are given for states that no site has, or a state's true stretch is unknown
+    or invalid.
     """
     names = {each.name for site in sites for each in site.states}
     if known.given and not names:
@@ -105,10 +100,8 @@ def true_states(site: Site, known: KnownStretches) -> list[TrueState]:
     A stretch given by the case is relative to a length of the user's choice. It is divided by the stretch at
     which the tissue is unloaded, from the case or `known`; if all states give the same stretch, by that one.
 
-    Raises
-    ------
-    CaseError
-        If a stretch is unknown, is given twice, or is outside the range that a fit of states searches.
+    Raises CaseError if a stretch is unknown, is given twice, or is outside the range that a fit of states
+    searches.
     """
     ways = [[_elastic(site, each, way, known) for each in site.states] for way in WAYS]
     states = [TrueState(each.name, *pair) for each, *pair in zip(site.states, *ways, strict=True)]

@@ -25,10 +25,7 @@ _FILES = ("mri", "skin", "fibres")  # keys of [imaging] that name a single file 
 def check_orientations(sites: Sequence[Site]) -> None:
     """Refuse sites whose pennation refers to the image plane of a site that will not be in the new case.
 
-    Raises
-    ------
-    CaseError
-        If there is such a site; the message names both.
+    Raises CaseError if there is such a site; the message names both.
     """
     names = {"axial", "transverse", *(site.name for site in sites)}
     for site in sites:
