@@ -60,7 +60,7 @@ def diagnosed_force(found: Diagnosis, curves: SiteCurves) -> dict[str, Any] | No
         ])
         for each, z in places
     ]  # fmt: skip
-    rise = curves.curves(c, m, NOTHING, {}).force_curve.slope(depths)
+    rise = curves.curves(c, m, NOTHING, {}).force_curve.read(depths).slopes
     return {
         "depths_mm": depths,
         "fitted_n": np.exp(logs(np.log(m), at)),
