@@ -123,8 +123,7 @@ def socket(
             )
         _write_skin(writer.file("skin", "skin_pressure.npz"), result, together)
         write_feb(for_febio(result.model), writer.file("feb", "socket.feb"), templates)
-        if result.model.has_friction and donning.penetration_mm is not None:
-            writer.summary.append(_NOT_FOR_FEBIO)
+        writer.summary.extend(for_febio_to_solve(result.model))
         _write_vtu(writer.file("vtu", "socket.vtu"), result, together)
         writer.warnings.extend(limb.warnings)
     return writer.result
@@ -290,6 +289,11 @@ def _report_balance(writer: StageWriter, result: DonningResult) -> None:
             where="balance of forces and moments", fix="use more donning and load steps",
             imbalance_n=worst.left_n,
         )  # fmt: skip
+
+
+def for_febio_to_solve(model: LimbModel) -> list[str]:
+    """What to change so that FEBio solves the file, if it does not."""
+    return [_NOT_FOR_FEBIO] if model.has_friction and any(each.augmented for each in model.contacts) else []
 
 
 def _words(state: SocketState) -> str:

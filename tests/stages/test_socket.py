@@ -19,6 +19,8 @@ from limbcli.case.socket import KneeInput, LinerInput, SocketInput
 from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.model import LimbModel, Mesh
+from limbcli.model.bodies import Contact
 from limbcli.model.npz_file import load_model
 from limbcli.progress import SILENT
 from limbcli.provenance.staleness import Chain
@@ -29,7 +31,7 @@ from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.stages.in_socket.patch_table import WHOLE
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.segment import segment
-from limbcli.stages.socket import SocketOptions, socket
+from limbcli.stages.socket import SocketOptions, for_febio_to_solve, socket
 from tests.meshing.stump import quickly_meshed, stump
 from tests.stages.test_limb import write_case
 
@@ -106,6 +108,15 @@ def test_the_files_say_the_same(made):
     written = read_feb(made.files["feb"])
     assert [each.name for each in written.bodies][-1] == "socket"
     assert made.files["picture_load_60_n"].is_file()
+
+
+def test_augmented_contact_with_friction_is_told_to_be_no_file_for_febio():
+    def told(friction: float, *, augmented: bool) -> list[str]:
+        contact = Contact("skin", "socket_face", friction=friction, augmented=augmented)
+        return for_febio_to_solve(LimbModel(Mesh(np.zeros((0, 3)), ()), {}, (), contacts=(contact,)))
+
+    assert "--penetration-mm 0" in told(0.3, augmented=True)[0]
+    assert told(0.0, augmented=True) == told(0.3, augmented=False) == []
 
 
 @pytest.mark.slow
