@@ -38,6 +38,7 @@ _MEMORY = 0.5  # weight of the latest tangent in the running average `ageing`
 _FORGETTING = 0.9  # decay of `ageing` per tangent at which no older factor was used
 _ROUNDS = 8  # maximum number of contact updates (linear solves) in one Newton step
 _OLD_ROUNDS = 2  # limit of Krylov iterations per Newton step with an older factor, in units of `patience`
+_SPARED = 4  # increments begun with a new factor after one at which the older factor was given up
 _NOWHERE = 0.999  # relative GMRES residual above which a matrix with an up-to-date factor counts as singular
 _ROUGH = 0.1  # relative tolerance of the linear solve while the set of touching points changes
 
@@ -51,6 +52,7 @@ class Linearised:
         1 no older factor is used (the closer to incompressible the tissue, the sooner a factor ages)
     rate : Krylov iterations per decade of the last solve
     stuck : the last linear solve did not converge: the factor is too old
+    spared : number of increments to come that begin with a new factor, without a try with the older one
     drag : coefficient of the drag on the diagonal of the next tangents (see `relaxation.relax`)
     """
 
@@ -61,7 +63,7 @@ class Linearised:
         self.reuse_cost = 0.0
         self.ageing = self._wasted = 0.0
         self.rate = _FRESH
-        self.stuck = False
+        self.stuck, self.spared = False, 0
         self.drag = 0.0
         self.linear: Any = _solver(system, settings) if system.n_tissue else None
 
@@ -69,7 +71,7 @@ class Linearised:
         """Discard tangent, factor and cost estimates."""
         self.tangent = self.inverse = None
         self.reuse_cost = self.ageing = self._wasted = 0.0
-        self.rate, self.stuck = _FRESH, False
+        self.rate, self.stuck, self.spared = _FRESH, False, 0
 
     @property
     def is_outdated(self) -> bool:
@@ -84,19 +86,34 @@ class Linearised:
     @property
     def patience(self) -> int:
         """Maximum number of Krylov iterations per solve; beyond it a new factor is cheaper."""
-        if self._is_old:
+        if self.is_old:
             return int(np.clip(_OLD_KRYLOV * self.per_factor, _LEAST_KRYLOV // 2, _MAX_KRYLOV))
         return int(np.clip(self.per_factor, _LEAST_KRYLOV, _MAX_KRYLOV))
 
     @property
-    def _is_old(self) -> bool:
+    def is_old(self) -> bool:
         """Whether the factor belongs to an earlier tangent."""
         return self.inverse is not None and self.inverse.tangent is not self.tangent
 
     def refresh(self, state: State, forces: Forces) -> None:
         """Assemble and factor the tangent at a state with these forces."""
         self.assemble(state, forces)
+        self._factor(forces)
+
+    def refactor(self, state: State, forces: Forces) -> None:
+        """Factor the tangent at a state with these forces, assembled unless it is the last one."""
+        if self.tangent is None or self.tangent.state is not state:
+            self.assemble(state, forces)
+        self._factor(forces)
+
+    def note_begun(self, *, too_old: bool) -> None:
+        """Note whether the older factor was given up at the first step of an increment."""
+        self.spared = _SPARED if too_old else max(self.spared - 1, 0)
+
+    def _factor(self, forces: Forces) -> None:
+        """Factor the tangent assembled last, at a state with these forces."""
         assert self.tangent is not None
+        state = self.tangent.state
         if state.time == 0.0:
             check_held(self.tangent, forces.contact)
         self.inverse = Inverse(self.tangent, forces.contact, self.linear)
@@ -112,7 +129,7 @@ class Linearised:
 
     def _learn(self) -> None:
         """Update `ageing` with the factor's extra cost at the tangent that is about to be replaced."""
-        if self._is_old:
+        if self.is_old:
             self.ageing += _MEMORY * (self._wasted - self.ageing)
         else:
             self.ageing *= _FORGETTING
@@ -150,7 +167,7 @@ class Linearised:
         )
         self.counts.krylov += n
         self.stuck = reached > max(3 * tolerance, 1e-9)
-        if reached > _NOWHERE and not self._is_old:
+        if reached > _NOWHERE and not self.is_old:
             raise singular("no step removes the residual")
         decades = max(-np.log10(max(reached, 1e-16)), 0.3)
         self.rate = n / decades
@@ -198,7 +215,7 @@ class Linearised:
                 best = (norm(residual), step)
             elif k > 1:
                 break
-            self.stuck |= self._is_old and self.counts.krylov >= most
+            self.stuck |= self.is_old and self.counts.krylov >= most
             if self.stuck:
                 break
             rough = bool((before.touching != contact.touching).any())

@@ -147,7 +147,7 @@ class Newton:
                     break
                 raise self.failure(forces, load_step, iteration, "the step is too long")
             self.counts.iterations += 1
-            step, found = self.direction(state, forces, renew, target)
+            step, found = self.direction(state, forces, renew, target, begins=iteration == 0)
             before = forces.error
             state = replace(state, hints=found.state.hints)
             state, forces, length = self.search(state, forces, step, iteration)
@@ -173,12 +173,15 @@ class Newton:
         return state, forces
 
     def direction(
-        self, state: State, forces: Forces, renew: bool, target: float
+        self, state: State, forces: Forces, renew: bool, target: float, *, begins: bool = False
     ) -> tuple[Array, ContactState]:
         """Newton step, and the contact found last: reassembles the tangent if `renew`, refactors if GMRES has
-        become slow."""
+        become slow.
+
+        begins : this is the first step of an increment
+        """
         linearised = self.linearised
-        if linearised.is_outdated:
+        if linearised.is_outdated or (begins and linearised.spared):
             linearised.refresh(state, forces)
         elif renew or linearised.tangent is None:
             linearised.assemble(state, forces)
@@ -188,8 +191,11 @@ class Newton:
         tissue = forces.residual - self.system.contact_residual(forces.contact)
         far = error > _FAR
         found = linearised.settle(state, tissue, goal, forces.contact, far=far)
-        if linearised.stuck:  # the factor is too old
-            linearised.refresh(state, forces)
+        too_old = linearised.stuck and linearised.is_old
+        if begins:
+            linearised.note_begun(too_old=too_old)
+        if too_old:
+            linearised.refactor(state, forces)
             found = linearised.settle(state, tissue, goal, forces.contact, far=far)
         return found
 
