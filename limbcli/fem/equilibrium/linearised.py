@@ -86,14 +86,18 @@ class Linearised:
     @property
     def patience(self) -> int:
         """Maximum number of Krylov iterations per solve; beyond it a new factor is cheaper."""
-        if self.is_old:
+        if self._is_old:
             return int(np.clip(_OLD_KRYLOV * self.per_factor, _LEAST_KRYLOV // 2, _MAX_KRYLOV))
         return int(np.clip(self.per_factor, _LEAST_KRYLOV, _MAX_KRYLOV))
 
     @property
-    def is_old(self) -> bool:
+    def _is_old(self) -> bool:
         """Whether the factor belongs to an earlier tangent."""
         return self.inverse is not None and self.inverse.tangent is not self.tangent
+
+    def is_fresh(self, state: State) -> bool:
+        """Whether tangent and factor are those of this state: another try would take the same steps."""
+        return self.tangent is not None and self.tangent.state is state and not self._is_old
 
     def refresh(self, state: State, forces: Forces) -> None:
         """Assemble and factor the tangent at a state with these forces."""
@@ -104,6 +108,8 @@ class Linearised:
         """Factor the tangent at a state with these forces, assembled unless it is the last one."""
         if self.tangent is None or self.tangent.state is not state:
             self.assemble(state, forces)
+        else:
+            self._learn()
         self._factor(forces)
 
     def note_begun(self, *, too_old: bool) -> None:
@@ -129,7 +135,7 @@ class Linearised:
 
     def _learn(self) -> None:
         """Update `ageing` with the factor's extra cost at the tangent that is about to be replaced."""
-        if self.is_old:
+        if self._is_old:
             self.ageing += _MEMORY * (self._wasted - self.ageing)
         else:
             self.ageing *= _FORGETTING
@@ -167,7 +173,7 @@ class Linearised:
         )
         self.counts.krylov += n
         self.stuck = reached > max(3 * tolerance, 1e-9)
-        if reached > _NOWHERE and not self.is_old:
+        if reached > _NOWHERE and not self._is_old:
             raise singular("no step removes the residual")
         decades = max(-np.log10(max(reached, 1e-16)), 0.3)
         self.rate = n / decades
@@ -215,7 +221,7 @@ class Linearised:
                 best = (norm(residual), step)
             elif k > 1:
                 break
-            self.stuck |= self.is_old and self.counts.krylov >= most
+            self.stuck |= self._is_old and self.counts.krylov >= most
             if self.stuck:
                 break
             rough = bool((before.touching != contact.touching).any())

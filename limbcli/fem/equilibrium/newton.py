@@ -191,7 +191,7 @@ class Newton:
         tissue = forces.residual - self.system.contact_residual(forces.contact)
         far = error > _FAR
         found = linearised.settle(state, tissue, goal, forces.contact, far=far)
-        too_old = linearised.stuck and linearised.is_old
+        too_old = linearised.stuck and not linearised.is_fresh(state)
         if begins:
             linearised.note_begun(too_old=too_old)
         if too_old:
