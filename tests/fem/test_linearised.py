@@ -150,3 +150,25 @@ def test_an_older_factor_that_was_given_up_is_not_tried_where_the_next_increment
     assert tried == [True, *[False] * of_linearised._SPARED, True]
     linearised.forget()
     assert not linearised.spared
+
+
+def test_the_contact_after_a_whole_step_is_searched_once(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    linearised, state = pressed(rng, size=2e-3)
+    system = linearised.system
+    newton = Newton(system, Settings(threads=1), Counts())
+    forces, searched, search = system.forces(state), [], system.search
+    step, found = newton.direction(state, forces, True, 1e-6)
+    expected = system.forces(system.moved(state, step))
+    monkeypatch.setattr(
+        system, "search", lambda *args, **more: searched.append(args) or search(*args, **more)
+    )
+    _, after, length = newton.search(state, forces, step, 0, contact=found)
+    assert length == 1.0
+    assert not searched
+    np.testing.assert_allclose(after.residual, expected.residual, atol=1e-12 * norm(expected.residual))
+    _, after, _ = newton.search(state, forces, 0.5 * step, 0, contact=found)
+    assert searched
+    expected = system.forces(system.moved(state, 0.5 * step))
+    np.testing.assert_allclose(after.residual, expected.residual, atol=1e-12 * norm(expected.residual))

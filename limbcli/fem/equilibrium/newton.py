@@ -51,9 +51,10 @@ class Newton:
         linear = self.linearised.linear
         return str(linear.name) if linear is not None else "none"
 
-    def forces(self, state: State) -> Forces:
+    def forces(self, state: State, *, contact: ContactState | None = None) -> Forces:
+        """Forces at a state; contact : found there, if it has been searched already."""
         self.counts.residuals += 1
-        return self.system.forces(state)
+        return self.system.forces(state, contact=contact)
 
     def predict(self, state: State, time: float) -> State:
         """Tangent predictor: the state extrapolated linearly to `time`.
@@ -150,7 +151,7 @@ class Newton:
             step, found = self.direction(state, forces, renew, target, begins=iteration == 0)
             before = forces.error
             state = replace(state, hints=found.state.hints)
-            state, forces, length = self.search(state, forces, step, iteration)
+            state, forces, length = self.search(state, forces, step, iteration, contact=found)
             if length == 0.0 and renew:
                 break
             renew = forces.error > settings.renew_ratio * before
@@ -200,12 +201,15 @@ class Newton:
         return found
 
     def search(
-        self, state: State, forces: Forces, step: Array, iteration: int
-    ) -> tuple[State, Forces, float]:
+        self, state: State, forces: Forces, step: Array, iteration: int, *,
+        contact: ContactState | None = None,
+    ) -> tuple[State, Forces, float]:  # fmt: skip
         """Line search: shorten the step until no cell is inverted and the residual does not diverge.
 
         In the first iterations the residual of a good step may be several times the previous one; later it
         must decrease, with either the independent volume ratios or those of the displacements.
+
+        contact : the last one of the linearised tissue, mostly that after the whole step
         """
         before, before_all = norm(forces.iterated), norm(forces.residual)
         full = self.system.moved(state, step)
@@ -219,7 +223,8 @@ class Newton:
             trial = self.system.moved(state, length * step)
             if self.volume_ratios:
                 trial = replace(trial, volumes=_between(ratios, ratios_full, length))
-            result = self.forces(trial)
+            is_there = contact is not None and np.array_equal(contact.state.u, trial.u)
+            result = self.forces(trial, contact=contact if is_there else None)
             state = replace(state, hints=result.contact.state.hints)
             size, size_all = norm(result.iterated), norm(result.residual)
             if result.worst > 0 and np.isfinite(size):
