@@ -60,7 +60,7 @@ def _refuse_no_contact(contact: Contact) -> None:
         )
 
 
-def refuse_limp(model: LimbModel) -> None:
+def refuse_without_stiffness(model: LimbModel) -> None:
     """Refuse materials that do not resist deformation at rest; those that follow a load curve are skipped.
 
     Raises

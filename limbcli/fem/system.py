@@ -159,21 +159,24 @@ class System(RigidLoads, ElementLoops):
 
     # ------------------------------------------------------------ forces
 
-    def forces(self, state: State) -> Forces:
-        """Internal, contact, spring and applied forces at a state; loads are subtracted from `nodal`."""
+    def forces(self, state: State, *, contact: ContactState | None = None) -> Forces:
+        """Internal, contact, spring and applied forces at a state; loads are subtracted from `nodal`.
+
+        contact : at the state; None: it is searched
+        """
         nodal, worst, worst_cell = self.internal(state)
         internal = nodal.copy()
-        touch = self.search(state)
-        contact, bodies = self.contact_forces(touch)
+        touch = self.search(state) if contact is None else contact
+        pressed, bodies = self.contact_forces(touch)
         loads = self.distributed.forces(state.u)
-        nodal += contact - loads
+        nodal += pressed - loads
         self.gather_tied(state, nodal, bodies)
         self.add_springs(state, bodies)
         applied = self.applied(state.time)
         residual = np.concatenate([nodal[self.free], [bodies[k] - applied[k] for k in self.rigid]])
         held = internal[~self.free]
         with np.errstate(over="ignore"):  # a diverging iterate may overflow
-            acting = (held, contact, applied[:, :3], loads)
+            acting = (held, pressed, applied[:, :3], loads)
             scale = np.sqrt(sum((each**2).sum() for each in acting))
         scale = max(float(scale), self.least_force)
         iterated = residual

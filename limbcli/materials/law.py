@@ -39,7 +39,8 @@ class Law:
     extra : parameters -> third number of the kernel's row in a program
     positive : parameters that must be greater than 0
     check : given parameters -> (problem, fix), or None
-    terms : whether the parameters belong to a sum of terms; terms that are not given are omitted
+    terms : whether the parameters belong to a sum of terms; terms that are not given are omitted. The slots
+        are then kappa, c1, m1, c2, m2 ..., and the stress of a term is proportional to its c
     fiber : whether the law has a fibre direction, stored after its numbers
     uncoupled : whether the stress splits into an isochoric deviator and a pressure
     febio : FEBio's names; None if FEBio does not have the law

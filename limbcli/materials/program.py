@@ -2,7 +2,7 @@
 
 `compile_material` flattens a law (with its mixtures and wrappers) into leaves; `Compiled.program` evaluates
 the numbers at a time; `Compiled.derivative` returns the programs whose stress is the derivative with respect
-to one parameter.
+to parameters.
 """
 
 from __future__ import annotations
@@ -97,37 +97,53 @@ class Compiled:
         return found[0], name
 
     def derivative(
-        self, parameter: str, n_cells: int, curve: CurveAt, *, weights: Array | None = None
+        self, rates: Mapping[str, float], n_cells: int, curve: CurveAt, *, weights: Array | None = None
     ) -> list[Program]:
-        """Programs whose stresses sum to dS/d(theta), all other parameters fixed.
+        """Programs whose stresses sum to dS/d(theta), where parameters change by their rate times theta and
+        all others are fixed.
 
-        weights (n_cells,) : the parameter changes by weights * theta, cell by cell (coefficient of an element
-            map); None: by theta everywhere
+        rates : by parameter
+        weights (n_cells,) : the parameters change by weights * rate * theta, cell by cell (coefficient of an
+            element map); None: by rate * theta everywhere
         """
-        leaf, numbers, slopes = self._slopes(parameter, curve, weights)
-        return _derivative_programs(leaf, _columns(leaf, numbers), slopes, n_cells)
+        return [
+            program
+            for leaf, numbers, slopes in self._slopes(rates, curve, weights)
+            for program in _derivative_programs(leaf, _columns(leaf, numbers), slopes, n_cells)
+        ]
 
-    def change(self, parameter: str, n_cells: int, curve: CurveAt, *, weights: Array | None = None) -> Array:
+    def change(
+        self, rates: Mapping[str, float], n_cells: int, curve: CurveAt, *, weights: Array | None = None
+    ) -> Array:
         """d(par)/d(theta) of the program's numbers, (1 or n_cells, n_numbers)."""
-        mine, _, slopes = self._slopes(parameter, curve, weights)
+        changed = {leaf.path: slopes for leaf, _, slopes in self._slopes(rates, curve, weights)}
         columns: list[Any] = []
         for leaf in self.leaves:
-            own = slopes if leaf is mine else []
+            own = changed.get(leaf.path, [])
             columns += [*own, *[0.0] * (leaf.n_slots - len(own))]
         return _stack(columns, n_cells)
 
     def _slopes(
-        self, parameter: str, curve: CurveAt, weights: Array | None
-    ) -> tuple[Leaf, dict[str, Any], list[Any]]:
-        """The leaf with the parameter, its parameter values, and d(slots)/d(theta)."""
-        leaf, name = self.find(parameter)
-        numbers = _numbers(leaf, curve)
-        step = 1e-30
-        factor = 1.0 if weights is None else weights
-        if isinstance(leaf.parameters[name], Curved):
-            factor = np.asarray(factor) * curve(leaf.parameters[name].curve)  # type: ignore[union-attr]
-        changed = leaf.law.slots({**numbers, name: numbers[name] + 1j * step * factor})
-        return leaf, numbers, [np.imag(each) / step for each in changed]
+        self, rates: Mapping[str, float], curve: CurveAt, weights: Array | None
+    ) -> list[tuple[Leaf, dict[str, Any], list[Any]]]:
+        """The leaves with the parameters: leaf, its parameter values, and d(slots)/d(theta)."""
+        of_leaves: dict[str, tuple[Leaf, dict[str, float]]] = {}
+        for parameter, rate in rates.items():
+            leaf, name = self.find(parameter)
+            own = of_leaves.setdefault(leaf.path, (leaf, {}))[1]
+            own[name] = own.get(name, 0.0) + rate
+        step, found = 1e-30, []
+        for leaf, own in of_leaves.values():
+            numbers = _numbers(leaf, curve)
+            moved = dict(numbers)
+            for name, rate in own.items():
+                factor: Any = rate if weights is None else rate * weights
+                value = leaf.parameters[name]
+                if isinstance(value, Curved):
+                    factor = np.asarray(factor) * curve(value.curve)
+                moved[name] = numbers[name] + 1j * step * factor
+            found.append((leaf, numbers, [np.imag(each) / step for each in leaf.law.slots(moved)]))
+        return found
 
 
 def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cells: int) -> list[Program]:
@@ -139,12 +155,21 @@ def _derivative_programs(leaf: Leaf, slots: list[Any], slopes: list[Any], n_cell
         columns += slots[len(slopes) :]
         ops = np.array([[leaf.law.kernel.number, 0, extra]], dtype=np.int64)
         programs.append(Program(ops, _stack(columns, n_cells)))
-    for slot, derivative in leaf.law.derivatives.items():
-        if slot < len(slopes) and np.any(slopes[slot] != 0.0) and derivative is not None:
-            kernel, which = derivative
-            ops = np.array([[kernel.number, 0, which]], dtype=np.int64)
-            factor = np.broadcast_to(np.asarray(slopes[slot], dtype=float), (n_cells,)).copy()
-            programs.append(Program(ops, _stack(slots, n_cells), factor))
+    others = {
+        slot: derivative
+        for slot, derivative in leaf.law.derivatives.items()
+        if slot < len(slopes) and np.any(slopes[slot] != 0.0) and derivative is not None
+    }
+    if leaf.law.terms and others:  # in one program: the stress of a term is proportional to its c
+        scaled = list(slots)
+        for slot in others:
+            scaled[slot - 1] = slots[slot - 1] * slopes[slot]
+        ops = np.array([[kernel.number, 0, which] for kernel, which in others.values()], dtype=np.int64)
+        return [*programs, Program(ops, _stack(scaled, n_cells))]
+    for slot, (kernel, which) in others.items():
+        ops = np.array([[kernel.number, 0, which]], dtype=np.int64)
+        factor = np.broadcast_to(np.asarray(slopes[slot], dtype=float), (n_cells,)).copy()
+        programs.append(Program(ops, _stack(slots, n_cells), factor))
     return programs
 
 

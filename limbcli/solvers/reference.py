@@ -168,11 +168,11 @@ def prepare(
     slip_as_febio: bool = False,
 ) -> Analysis:
     """An analysis of a model, after checking that all of its features are supported."""
-    from limbcli.fem.supported import check_supported, refuse_limp, warm_up
+    from limbcli.fem.supported import check_supported, refuse_without_stiffness, warm_up
 
     check_supported(model)
     warm_up(progress)
-    refuse_limp(model)
+    refuse_without_stiffness(model)
     from limbcli.fem.analysis import Analysis
     from limbcli.fem.equilibrium.newton import Settings
 

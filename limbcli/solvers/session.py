@@ -165,14 +165,14 @@ class ReferenceSession:
         """
         from limbcli.fem.analysis import RunEnd
         from limbcli.fem.elements.groups import differs_from_pointwise
-        from limbcli.fem.supported import check_supported, refuse_limp
+        from limbcli.fem.supported import check_supported, refuse_without_stiffness
         from limbcli.fem.warm_start import Solved, WarmStart
 
         model = model2 if model2 is not None else self.model
         check_same_set_up(self.model, model)
         if model is not self.model:
             check_supported(model)
-            refuse_limp(model)
+            refuse_without_stiffness(model)
         moved = dict(weights or {})
         check_materials(wrt, model)
         if wrt and (path_dependent(model) or differs_from_pointwise(model)):

@@ -20,12 +20,11 @@ from limbcli.case import Case, Site
 from limbcli.config import one_blas_thread
 from limbcli.diagnosis.diagnosed_force import diagnosed_force
 from limbcli.diagnosis.drainage import DrainageSolver
-from limbcli.diagnosis.explanations import decisions
+from limbcli.diagnosis.explanations import decisions, verdict
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
 from limbcli.diagnosis.explanations.forward_model import Explanation
 from limbcli.diagnosis.explanations.residuals import force_jump
 from limbcli.diagnosis.explanations.sentences import sentences
-from limbcli.diagnosis.explanations.verdict import diagnose as diagnose_bench
 from limbcli.diagnosis.forward_model.measurement_menu import known
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
@@ -185,7 +184,7 @@ class _Diagnosed:
             forward_model.settle_noise()
             if len(prepared) == 1 and (self.out / "segment" / "segment.json").is_file():
                 forward_model.turned = lambda: self._turned(prepared[0])
-            found = diagnose_bench(
+            found = verdict.diagnose(
                 forward_model, max_effects=options.max_effects, seed=options.seed, progress=self.progress
             )
             return [self._write(found, forward_model, prepared, k) for k in range(len(prepared))]

@@ -548,3 +548,26 @@ def test_a_prediction_that_is_not_a_number_is_no_answer():
     site = site_data("p1", SiteReadings(data, reduced.NOISE, windows=simulations.windows))
     with pytest.raises(SolveError, match="not a number"):
         diagnose(SiteForwardModel([SiteCurves(site, simulations, {})]))
+
+
+def test_curves_are_composed_once_for_every_c_and_every_reading(rng, monkeypatch):
+    model = bench(levels(rng), names=("force-zero", "skin-layer"))
+    (site,) = model.predictions.sites
+    for m in (2.0, 5.0):
+        site.solve_nodes([m])
+    composed, of = [], site.changes.of
+    monkeypatch.setattr(site.changes, "of", lambda *args: composed.append(args) or of(*args))
+    pair = AtPoints(("skin-layer", "force-zero"), ({"skin_thickness_mm": 1.5}, {}))
+    theta = {"log_skin_ratio": 3.0, "force_zero_n": 0.3}
+    first = site.curves(0.006, 4.0, pair, theta)
+    stiffer = site.curves(0.012, 4.0, pair, {**theta, "force_zero_n": -0.2})
+    assert len(composed) == 1
+    np.testing.assert_allclose(stiffer.force, 2.0 * first.force)
+    shown = np.isfinite(first.log_speed)
+    np.testing.assert_allclose((stiffer.log_speed - first.log_speed)[shown], 0.5 * np.log(2.0))
+    softer = site.curves(0.006, 4.0, pair, {**theta, "log_skin_ratio": 1.0})
+    assert len(composed) == 2
+    assert softer.force[-1] < first.force[-1]
+    site.repair(4.0, pair, theta)  # what a simulation corrects is not what was composed before
+    repaired = site.curves(0.006, 4.0, pair, theta)
+    assert abs(repaired.force[-1] / first.force[-1] - 1.0) > 1e-6

@@ -5,10 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from small_models import punch
 
 from limbcli.fem.contacts.contact_reach import near_nodes
+from limbcli.fem.equilibrium import linearised as of_linearised
 from limbcli.fem.equilibrium.linearised import Linearised
+from limbcli.fem.equilibrium.newton import Newton
 from limbcli.fem.equilibrium.settings import Counts, Settings
 from limbcli.fem.motion.state import State, norm
 from limbcli.fem.system import System
@@ -105,3 +108,67 @@ def test_the_factor_follows_the_contact(rng: np.random.Generator) -> None:
         linearised.solve(replace(system.search(deeper), full_tangent=False), rhs, 1e-4)
         used[linear] = linearised.rate
     assert used["multifrontal"] < 0.6 * used["superlu"]
+
+
+class TooOld:
+    """An inverse of another tangent, with which GMRES does not converge."""
+
+    tangent = None
+
+    def follow(self, contact: object) -> None:
+        """The contact does not matter."""
+
+    def __call__(self, rhs: np.ndarray) -> np.ndarray:
+        return np.roll(rhs, 7)
+
+
+def test_an_older_factor_that_was_given_up_is_not_tried_where_the_next_increments_begin(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    linearised, state = pressed(rng, size=2e-3)
+    newton = Newton(linearised.system, Settings(threads=1), Counts())
+    newton.counts, newton.linearised = linearised.counts, linearised
+    forces, assembled = linearised.system.forces(state), []
+    stiffness = linearised.system.stiffness
+    monkeypatch.setattr(linearised.system, "stiffness", lambda at: assembled.append(at) or stiffness(at))
+
+    def factored(*, begins: bool) -> int:
+        """How many factors a step takes that has one which is too old."""
+        before = linearised.counts.factorisations
+        linearised.inverse, linearised.reuse_cost, linearised.ageing = TooOld(), 0.0, 0.0
+        assembled.clear()
+        newton.direction(replace(state), forces, True, 1e-6, begins=begins)
+        assert len(assembled) == 1  # also where a first factor fails
+        return linearised.counts.factorisations - before
+
+    krylov = []
+    for _ in range(of_linearised._SPARED + 2):
+        before = linearised.counts.krylov
+        assert factored(begins=True) == 1
+        krylov.append(linearised.counts.krylov - before)
+    tried = [n > krylov[1] for n in krylov]
+    assert tried == [True, *[False] * of_linearised._SPARED, True]
+    linearised.forget()
+    assert not linearised.spared
+
+
+def test_the_contact_after_a_whole_step_is_searched_once(
+    rng: np.random.Generator, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    linearised, state = pressed(rng, size=2e-3)
+    system = linearised.system
+    newton = Newton(system, Settings(threads=1), Counts())
+    forces, searched, search = system.forces(state), [], system.search
+    step, found = newton.direction(state, forces, True, 1e-6)
+    expected = system.forces(system.moved(state, step))
+    monkeypatch.setattr(
+        system, "search", lambda *args, **more: searched.append(args) or search(*args, **more)
+    )
+    _, after, length = newton.search(state, forces, step, 0, contact=found)
+    assert length == 1.0
+    assert not searched
+    np.testing.assert_allclose(after.residual, expected.residual, atol=1e-12 * norm(expected.residual))
+    _, after, _ = newton.search(state, forces, 0.5 * step, 0, contact=found)
+    assert searched
+    expected = system.forces(system.moved(state, 0.5 * step))
+    np.testing.assert_allclose(after.residual, expected.residual, atol=1e-12 * norm(expected.residual))

@@ -11,7 +11,7 @@ from small_models import punch
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium.newton import Settings
-from limbcli.fem.supported import check_supported, on_disk, refuse_limp
+from limbcli.fem.supported import check_supported, on_disk, refuse_without_stiffness
 from limbcli.model import Curved, ElementMap, Step
 from limbcli.model.bodies import Drive
 
@@ -55,10 +55,10 @@ def test_tissue_that_does_not_resist_shear_is_refused(c: float, as_map: bool):
     terms = {key: c if key in ("c1", "c2") else value for key, value in law.parameters.items()}
     if as_map:
         terms["c1"] = ElementMap("c", block.name, np.r_[np.full(len(block.cells) - 1, 0.01), 2 * c])
-    refuse_limp(model)
+    refuse_without_stiffness(model)
     with pytest.raises(SolveError, match="does not resist deformation"):
-        refuse_limp(replace(model, materials={"tissue": replace(law, parameters=terms)}))
-    refuse_limp(
+        refuse_without_stiffness(replace(model, materials={"tissue": replace(law, parameters=terms)}))
+    refuse_without_stiffness(
         replace(model, materials={"tissue": replace(law, parameters={**terms, "c1": Curved(c, "ramp")})})
     )
 
@@ -67,7 +67,7 @@ def test_tissue_of_a_modulus_that_is_no_number_is_refused():
     model = punch()
     law = model.materials["tissue"].with_parameters(c1=float("nan"))
     with pytest.raises(SolveError, match="does not resist deformation"):
-        refuse_limp(model.with_material("tissue", law))
+        refuse_without_stiffness(model.with_material("tissue", law))
 
 
 def test_an_exponent_that_is_0_in_one_cell_is_refused():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -106,13 +106,23 @@ def tangent_is_derivative_of_stress(material: Material, states: np.ndarray, rng:
 
 def parameter_derivative_of_stress(material: Material, parameter: str, states: np.ndarray) -> None:
     value = {"lam0": 1.0, "band": JUMP, **material.parameters}[parameter]
-    h = 1e-5 * max(abs(value), 1e-3)
+    derivative_of_stress(material, {parameter: 1.0}, states, h=1e-5 * max(abs(value), 1e-3))
+
+
+def derivative_of_stress(
+    material: Material, rates: Mapping[str, float], states: np.ndarray, *, h: float
+) -> None:
+    """Where several parameters change together, each at its rate."""
+    values = {"lam0": 1.0, "band": JUMP, **material.parameters}
     up, down = (
-        second_piola_kirchhoff(material.with_parameters(**{parameter: value + s * h}), states)[0]
+        second_piola_kirchhoff(
+            material.with_parameters(**{name: values[name] + s * h * rate for name, rate in rates.items()}),
+            states,
+        )[0]
         for s in (1, -1)
     )
     total = np.zeros((len(states), 6))
-    for each in compile_material(material, "m").derivative(parameter, len(states), lambda name: 1.0):
+    for each in compile_material(material, "m").derivative(rates, len(states), lambda name: 1.0):
         S, CC = np.zeros((len(states), 6)), np.zeros((len(states), 6, 6))
         _evaluate(states, each.ops, each.par, S, CC, False)
         total += S if each.factor is None else S * each.factor[:, None]

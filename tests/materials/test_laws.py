@@ -231,6 +231,18 @@ def test_sloped_tangent_in_the_band_is_exact(rng: np.random.Generator) -> None:
     np.testing.assert_allclose((up - down) / (2 * h), expected, atol=1e-5 * abs(expected).max())
 
 
+@pytest.mark.parametrize("name", ["ogden", "ogden six terms", "ogden_uncoupled"])
+def test_derivative_by_exponents_and_moduli_together(
+    name: str, states: np.ndarray, rng: np.random.Generator
+) -> None:
+    """Exponents share a program, so that the stretches of a point are computed once."""
+    material = MATERIALS[name]
+    rates = {each: value * rng.uniform(-1, 1) for each, value in material.parameters.items()}
+    checks.derivative_of_stress(material, rates, states, h=1e-5)
+    exponents = {each: rate for each, rate in rates.items() if each.startswith("m")}
+    assert len(compile_material(material, "m").derivative(exponents, 1, lambda name: 1.0)) == 1
+
+
 @pytest.mark.parametrize("name", ["band", "lam0", "beta", "mu"])
 def test_parameter_derivative_of_stress_within_the_band(name: str) -> None:
     F = sheared(1 + 0.5 * JUMP)
@@ -239,7 +251,7 @@ def test_parameter_derivative_of_stress_within_the_band(name: str) -> None:
 
 def test_a_fibres_direction_is_no_number() -> None:
     with pytest.raises(SolveError, match="direction"):
-        compile_material(SHEARED, "m").derivative("fiber", 1, lambda name: 1.0)
+        compile_material(SHEARED, "m").derivative({"fiber": 1.0}, 1, lambda name: 1.0)
 
 
 def test_fibre_that_engages_later_starts_from_nothing() -> None:

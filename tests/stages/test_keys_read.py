@@ -80,8 +80,8 @@ def prepared_only(patch: pytest.MonkeyPatch) -> None:
     patch.setattr(diagnose_module, "prepare", prepare)
     patch.setattr(diagnose_module, "SiteForwardModel", lambda *_: model)
     patch.setattr(diagnose_module, "_content", lambda *_: {"sentences": [], "sites": ["p1"]})
-    for name in ("diagnose_bench", "gap_picture", "candidates_picture", "sizes_picture", "sizes_of",
-                 "write_diagnosed"):  # fmt: skip
+    patch.setattr(diagnose_module.verdict, "diagnose", lambda *_, **__: None)
+    for name in ("gap_picture", "candidates_picture", "sizes_picture", "sizes_of", "write_diagnosed"):
         patch.setattr(diagnose_module, name, lambda *_, **__: None)
 
 

@@ -35,6 +35,7 @@ _ON = 0.25  # range of polynomial extrapolation in m, as a fraction of the span 
 _MOST_CHANGE = 10.0
 _OF_NO_EFFECT = 0.1  # size, in units of the start value, below which a correction is not due to the effect
 _FAR_IN_M = 0.3  # distance in ln m that counts as much as an effect's start value
+_SHAPES = 4  # number of curves kept at the simulations' c
 _SAME = 1e-9  # squared distance below which two models are the same
 
 
@@ -135,6 +136,7 @@ class SiteCurves:
         self.changes = Changes(simulations, progress=progress)
         self.nodes: dict[float, Curves] = {}
         self._base = lru_cache(1)(self._interpolated)  # most finite differences of a fit do not change m
+        self._shape = lru_cache(_SHAPES)(self._shaped)  # nor do those by c or by effects on readings alone
         self._repairs: dict[tuple[Explanation, str], Repairs] = {}  # by the key of the model
 
     def solve_nodes(self, values: Sequence[float]) -> None:
@@ -167,21 +169,39 @@ class SiteCurves:
         return self.curves(c, m, model, theta), self.reading(c, model, theta)
 
     def curves(self, c: float, m: float, model: AtPoints, theta: Theta) -> Curves:
-        depth, base, plain = self._base(m, len(self.nodes))
+        of_effects = tuple(
+            (p.name, theta[p.name])
+            for name, _ in model if self.effects[name].solves
+            for p in self.effects[name].parameters if p.name in theta
+        )  # fmt: skip
+        repairs = self._repairs.get(model.key)
+        shape = self._shape(m, model, of_effects, repairs, len(self.nodes))
+        times = c / self.simulations.c
+        taller = 1.0 if self.correction is None else self.correction.thickness_ratio
+        thickness = shape.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
+        log_speed = shape.log_speed + 0.5 * np.log(times)
+        found = replace(shape, force=shape.force * times, thickness=thickness, log_speed=log_speed)
+        return found if self.penetration is None else self.penetration.without(found, shape.force)
+
+    def _shaped(
+        self, m: float, model: AtPoints, of_effects: tuple[tuple[str, float], ...], repairs: Repairs | None,
+        n_nodes: int,
+    ) -> Curves:  # fmt: skip
+        """The curves at the simulations' c.
+
+        of_effects : parameters of the effects that change the simulation
+        """
+        theta = dict(of_effects)
+        depth, base, plain = self._base(m, n_nodes)
         values = base
-        if model.key in self._repairs:
-            values = values + self._repairs[model.key].at(self._sizes(model, theta), float(np.log(m)))
+        if repairs is not None:
+            values = values + repairs.at(self._sizes(model, theta), float(np.log(m)))
         for name, point in model:
             if self.effects[name].solves:
                 values = values + self.changes.of(self.effects[name], point)(theta)
         values = base + np.clip(values - base, -_MOST_CHANGE, _MOST_CHANGE)
         force = np.concatenate([[0.0], np.exp(values[1:, 0])])
-        times = c / self.simulations.c
-        taller = 1.0 if self.correction is None else self.correction.thickness_ratio
-        thickness = plain.thickness * taller * (1.0 + theta.get("thickness_change", 0.0))
-        found = plain.with_table(depth, force * times, values[:, 1:])
-        found = replace(found, thickness=thickness, log_speed=found.log_speed + 0.5 * np.log(times))
-        return found if self.penetration is None else self.penetration.without(found, force)
+        return plain.with_table(depth, force, values[:, 1:])
 
     def reading(self, c: float, model: AtPoints, theta: Theta) -> Reading:
         reading = Reading(c=c)

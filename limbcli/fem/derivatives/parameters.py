@@ -6,6 +6,7 @@ bodies (n_bodies, 6).
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -86,13 +87,11 @@ Parameter = LawParameter | Tied | BodyMotion | ShapeParameter | Prestrain
 
 def partial(system: System, contact: ContactState, parameter: Parameter) -> tuple[Array, Array]:
     """dR/dtheta at fixed displacements: nodal (n_points, 3), bodies (n_bodies, 6)."""
-    if isinstance(parameter, LawParameter):
-        return _law(system, contact, parameter)
-    if isinstance(parameter, Tied):
-        found = [(_law(system, contact, each), rate) for each, rate in parameter.parts]
+    if isinstance(parameter, LawParameter | Tied):
+        found = [_law(system, contact, each, rates) for each, rates in changed_together(parameter)]
         return (
-            np.asarray(sum(rate * nodal for (nodal, _), rate in found)),
-            np.asarray(sum(rate * bodies for (_, bodies), rate in found)),
+            np.asarray(sum(nodal for nodal, _ in found)),
+            np.asarray(sum(bodies for _, bodies in found)),
         )
     if isinstance(parameter, BodyMotion):
         return _motion(system, contact, parameter)
@@ -101,8 +100,20 @@ def partial(system: System, contact: ContactState, parameter: Parameter) -> tupl
     return _shape(system, contact, parameter)
 
 
-def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]]:
-    """Derivative programs by group number; raises SolveError if no region has the material."""
+def changed_together(parameter: LawParameter | Tied) -> list[tuple[LawParameter, dict[str, float]]]:
+    """The parameters that change, with their rates by name: those of the same cells together."""
+    found: dict[tuple[str, str | None, int], tuple[LawParameter, dict[str, float]]] = {}
+    for part, rate in parameter.parts if isinstance(parameter, Tied) else ((parameter, 1.0),):
+        _, rates = found.setdefault((part.material, part.block, id(part.weights)), (part, {}))
+        rates[part.name] = rates.get(part.name, 0.0) + rate
+    return list(found.values())
+
+
+def programs(system: System, parameter: LawParameter, rates: Mapping[str, float]) -> dict[int, list[Program]]:
+    """Derivative programs by group number; raises SolveError if no region has the material.
+
+    rates : of the material's parameters that change, by name
+    """
     where = f"derivative with respect to {parameter.material}.{parameter.name}"
     found = {}
     for number, group in enumerate(system.groups):
@@ -115,7 +126,7 @@ def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]
                 where=where,
                 fix="give a weight to each cell of one block, and name the block",
             )
-        found[number] = group.material.derivative(parameter.name, n, system.curve, weights=weights)
+        found[number] = group.material.derivative(rates, n, system.curve, weights=weights)
     if not found:
         raise SolveError(
             f"no region is made of {parameter.material!r}",
@@ -125,15 +136,17 @@ def programs(system: System, parameter: LawParameter) -> dict[int, list[Program]
     return found
 
 
-def _law(system: System, contact: ContactState, parameter: LawParameter) -> tuple[Array, Array]:
+def _law(
+    system: System, contact: ContactState, parameter: LawParameter, rates: Mapping[str, float]
+) -> tuple[Array, Array]:
     state = contact.state
     nodal, bodies = np.zeros_like(system.X), np.zeros((len(system.bodies), 6))
     dt = system.model.steps[0].step_size
     at_first = system.curve_at_first
-    for number, found in programs(system, parameter).items():
+    for number, found in programs(system, parameter, rates).items():
         _add_internal(system, state, number, found, nodal)
         group = system.groups[number]
-        change = group.material.change(parameter.name, len(group.cells), at_first, weights=parameter.weights)
+        change = group.material.change(rates, len(group.cells), at_first, weights=parameter.weights)
         for pair, found_points in zip(system.pairs, contact.points, strict=True):
             for patch, points in zip(pair.patches, found_points, strict=True):
                 deps = pair.factor * penalty_derivative(

@@ -23,6 +23,7 @@ from limbcli.fem.derivatives.parameters import (
     Prestrain,
     ShapeParameter,
     Tied,
+    changed_together,
     prestrain_change,
     programs,
 )
@@ -139,19 +140,16 @@ def _of_the_law(system: System, state: State, number: int, parameter: Parameter)
     """Derivatives of S (n_cells, n_gauss, 6) at fixed deformation, and of the law's numbers."""
     group, o = system.groups[number], system.operands[number]
     dS, dpar = np.zeros((*o.weight.shape, 6)), np.zeros((1, o.par.shape[1]))
-    parts = parameter.parts if isinstance(parameter, Tied) else ()
-    parts = ((parameter, 1.0),) if isinstance(parameter, LawParameter) else parts
+    parts = changed_together(parameter) if isinstance(parameter, LawParameter | Tied) else []
     F, S, nothing = np.empty((*o.weight.shape, 3, 3)), np.empty_like(dS), np.zeros((0, 1, 6, 6))
-    for part, rate in parts:
-        if number not in (found := programs(system, part)):
+    for part, rates in parts:
+        if number not in (found := programs(system, part, rates)):
             continue
-        dpar = dpar + rate * group.material.change(
-            part.name, len(group.cells), system.curve, weights=part.weights
-        )
+        dpar = dpar + group.material.change(rates, len(group.cells), system.curve, weights=part.weights)
         for program in found[number]:
             own = o.with_program(program).arguments()
             kernels.stress_state(0, len(o.cells), state.u, *own, F, S, nothing)
-            dS += rate * (S if program.factor is None else S * program.factor[:, None, None])
+            dS += S if program.factor is None else S * program.factor[:, None, None]
     return dS, dpar
 
 

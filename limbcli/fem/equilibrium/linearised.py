@@ -38,6 +38,7 @@ _MEMORY = 0.5  # weight of the latest tangent in the running average `ageing`
 _FORGETTING = 0.9  # decay of `ageing` per tangent at which no older factor was used
 _ROUNDS = 8  # maximum number of contact updates (linear solves) in one Newton step
 _OLD_ROUNDS = 2  # limit of Krylov iterations per Newton step with an older factor, in units of `patience`
+_SPARED = 4  # increments begun with a new factor after one at which the older factor was given up
 _NOWHERE = 0.999  # relative GMRES residual above which a matrix with an up-to-date factor counts as singular
 _ROUGH = 0.1  # relative tolerance of the linear solve while the set of touching points changes
 
@@ -51,6 +52,7 @@ class Linearised:
         1 no older factor is used (the closer to incompressible the tissue, the sooner a factor ages)
     rate : Krylov iterations per decade of the last solve
     stuck : the last linear solve did not converge: the factor is too old
+    spared : number of increments to come that begin with a new factor, without a try with the older one
     drag : coefficient of the drag on the diagonal of the next tangents (see `relaxation.relax`)
     """
 
@@ -61,7 +63,7 @@ class Linearised:
         self.reuse_cost = 0.0
         self.ageing = self._wasted = 0.0
         self.rate = _FRESH
-        self.stuck = False
+        self.stuck, self.spared = False, 0
         self.drag = 0.0
         self.linear: Any = _solver(system, settings) if system.n_tissue else None
 
@@ -69,7 +71,7 @@ class Linearised:
         """Discard tangent, factor and cost estimates."""
         self.tangent = self.inverse = None
         self.reuse_cost = self.ageing = self._wasted = 0.0
-        self.rate, self.stuck = _FRESH, False
+        self.rate, self.stuck, self.spared = _FRESH, False, 0
 
     @property
     def is_outdated(self) -> bool:
@@ -93,10 +95,31 @@ class Linearised:
         """Whether the factor belongs to an earlier tangent."""
         return self.inverse is not None and self.inverse.tangent is not self.tangent
 
+    def is_fresh(self, state: State) -> bool:
+        """Whether tangent and factor are those of this state: another try would take the same steps."""
+        return self.tangent is not None and self.tangent.state is state and not self._is_old
+
     def refresh(self, state: State, forces: Forces) -> None:
         """Assemble and factor the tangent at a state with these forces."""
         self.assemble(state, forces)
+        self._factor(forces)
+
+    def refactor(self, state: State, forces: Forces) -> None:
+        """Factor the tangent at a state with these forces, assembled unless it is the last one."""
+        if self.tangent is None or self.tangent.state is not state:
+            self.assemble(state, forces)
+        else:
+            self._learn()
+        self._factor(forces)
+
+    def note_begun(self, *, too_old: bool) -> None:
+        """Note whether the older factor was given up at the first step of an increment."""
+        self.spared = _SPARED if too_old else max(self.spared - 1, 0)
+
+    def _factor(self, forces: Forces) -> None:
+        """Factor the tangent assembled last, at a state with these forces."""
         assert self.tangent is not None
+        state = self.tangent.state
         if state.time == 0.0:
             check_held(self.tangent, forces.contact)
         self.inverse = Inverse(self.tangent, forces.contact, self.linear)

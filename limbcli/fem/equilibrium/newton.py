@@ -51,9 +51,10 @@ class Newton:
         linear = self.linearised.linear
         return str(linear.name) if linear is not None else "none"
 
-    def forces(self, state: State) -> Forces:
+    def forces(self, state: State, *, contact: ContactState | None = None) -> Forces:
+        """Forces at a state; contact : found there, if it has been searched already."""
         self.counts.residuals += 1
-        return self.system.forces(state)
+        return self.system.forces(state, contact=contact)
 
     def predict(self, state: State, time: float) -> State:
         """Tangent predictor: the state extrapolated linearly to `time`.
@@ -147,10 +148,10 @@ class Newton:
                     break
                 raise self.failure(forces, load_step, iteration, "the step is too long")
             self.counts.iterations += 1
-            step, found = self.direction(state, forces, renew, target)
+            step, found = self.direction(state, forces, renew, target, begins=iteration == 0)
             before = forces.error
             state = replace(state, hints=found.state.hints)
-            state, forces, length = self.search(state, forces, step, iteration)
+            state, forces, length = self.search(state, forces, step, iteration, contact=found)
             if length == 0.0 and renew:
                 break
             renew = forces.error > settings.renew_ratio * before
@@ -173,12 +174,15 @@ class Newton:
         return state, forces
 
     def direction(
-        self, state: State, forces: Forces, renew: bool, target: float
+        self, state: State, forces: Forces, renew: bool, target: float, *, begins: bool = False
     ) -> tuple[Array, ContactState]:
         """Newton step, and the contact found last: reassembles the tangent if `renew`, refactors if GMRES has
-        become slow."""
+        become slow.
+
+        begins : this is the first step of an increment
+        """
         linearised = self.linearised
-        if linearised.is_outdated:
+        if linearised.is_outdated or (begins and linearised.spared):
             linearised.refresh(state, forces)
         elif renew or linearised.tangent is None:
             linearised.assemble(state, forces)
@@ -188,18 +192,24 @@ class Newton:
         tissue = forces.residual - self.system.contact_residual(forces.contact)
         far = error > _FAR
         found = linearised.settle(state, tissue, goal, forces.contact, far=far)
-        if linearised.stuck:  # the factor is too old
-            linearised.refresh(state, forces)
+        too_old = linearised.stuck and not linearised.is_fresh(state)
+        if begins:
+            linearised.note_begun(too_old=too_old)
+        if too_old:
+            linearised.refactor(state, forces)
             found = linearised.settle(state, tissue, goal, forces.contact, far=far)
         return found
 
     def search(
-        self, state: State, forces: Forces, step: Array, iteration: int
-    ) -> tuple[State, Forces, float]:
+        self, state: State, forces: Forces, step: Array, iteration: int, *,
+        contact: ContactState | None = None,
+    ) -> tuple[State, Forces, float]:  # fmt: skip
         """Line search: shorten the step until no cell is inverted and the residual does not diverge.
 
         In the first iterations the residual of a good step may be several times the previous one; later it
         must decrease, with either the independent volume ratios or those of the displacements.
+
+        contact : the last one of the linearised tissue, mostly that after the whole step
         """
         before, before_all = norm(forces.iterated), norm(forces.residual)
         full = self.system.moved(state, step)
@@ -213,7 +223,8 @@ class Newton:
             trial = self.system.moved(state, length * step)
             if self.volume_ratios:
                 trial = replace(trial, volumes=_between(ratios, ratios_full, length))
-            result = self.forces(trial)
+            is_there = contact is not None and np.array_equal(contact.state.u, trial.u)
+            result = self.forces(trial, contact=contact if is_there else None)
             state = replace(state, hints=result.contact.state.hints)
             size, size_all = norm(result.iterated), norm(result.residual)
             if result.worst > 0 and np.isfinite(size):
