@@ -781,7 +781,7 @@ def test_a_joint_fit_that_misses_its_data_is_not_marked_as_fine(tmp_path):
         (("the shape of the limb is assumed",), "warning"),
         ((), "failed"),
     ):
-        told = chi_square_agreement(73.0 if mood == "failed" else 3.0, 4).to_json()
+        told = vars(chi_square_agreement(73.0 if mood == "failed" else 3.0, 4))
         for stage, site in (("fit-joint", None), ("fit-states", "p1")):
             with open_stage(out, stage, subject="S1", site=site) as writer:
                 writer.data.update(parameters=sound, element="tet10", sites=["p1"], agreement=told)
