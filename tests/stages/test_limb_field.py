@@ -269,7 +269,7 @@ def test_a_limb_that_no_tissue_brings_to_a_sites_force_is_told(two_sites, monkey
     monkeypatch.setattr(limb_force, "limb_forces", half)
     found = as_on_limb(two_sites, lambda each: each, {"p2": "p2"}, warnings)
     assert found.force_on_limb == {"p2": pytest.approx(0.5)}
-    assert "site p2: the limb's force under the probe is 50 % of the fit's" in warnings[0]
+    assert "site p2: the limb's force under the probe is 50 % of that found" in warnings[0]
 
 
 LEVELS = "force_n,depth_mm\n0,0\n2,2\n4,4\n6,5\n"

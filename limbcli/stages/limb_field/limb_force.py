@@ -31,7 +31,7 @@ def as_on_limb(
     found: CaseField, model_of: Callable[[CaseField], LimbModel], probes: Mapping[str, PlacedProbe],
     warnings: list[str], *, progress: Progress = SILENT,
 ) -> CaseField:  # fmt: skip
-    """The field with whose tissue the limb's model gives the forces that the fits found.
+    """The field with whose tissue the limb's model gives the forces found at the sites.
 
     model_of : the limb with a field's tissue; probes : by the site's name
     warnings : gets a sentence for a site whose force cannot be simulated; it stays as it was
@@ -81,7 +81,7 @@ def contradicting_forces(found: CaseField) -> list[str]:
         for each in found.field.sites if each.force is not None
     }  # fmt: skip
     return [
-        f"site {name}: the field's tissue gives {100 * ratio:.0f} % of the force that its fit found: other "
+        f"site {name}: the field's tissue gives {100 * ratio:.0f} % of the force found there: other "
         "sites, or its own wave speed, contradict it"
         for name, ratio in ratios.items() if abs(ratio - 1.0) > _CONTRADICTED
     ]  # fmt: skip
@@ -89,7 +89,7 @@ def contradicting_forces(found: CaseField) -> list[str]:
 
 def _off(name: str, ratio: float) -> str:
     return (
-        f"site {name}: the limb's force under the probe is {100 * ratio:.0f} % of the fit's: the site's "
+        f"site {name}: the limb's force under the probe is {100 * ratio:.0f} % of that found: the site's "
         "model is too unlike the limb's (its mesh, or cuts too near the probe). Mesh it with a larger "
         "--margin-mm or as tet10, and fit again"
     )
