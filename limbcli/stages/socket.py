@@ -44,7 +44,7 @@ _MOST_OFF = 0.1  # error of the held-out solve above which the intervals are cal
 _SOFT_MM, _SOFT = 0.5, 0.2  # penetration that is reported: mm, and of the deepest interference
 _NOT_FOR_FEBIO = (
     "socket.feb: under load FEBio 4.11 found no equilibrium of friction with augmented contact; for a file "
-    "that FEBio solves give --penetration-mm 0, and a --contact-penalty of 150 for a small penetration"
+    "that FEBio solves give --penetration-mm 0, and a --contact-penalty of 500 for a small penetration"
 )
 _BALANCE = 1e-4  # of the largest force: a larger remainder is an error
 
