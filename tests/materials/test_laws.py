@@ -19,7 +19,6 @@ from limbcli.materials.stress import _evaluate, cauchy_stress, penalty_modulus, 
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Material
 
-
 IN_PACKAGE = set(LAWS)  # other tests register laws of their own
 
 
