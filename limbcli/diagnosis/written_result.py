@@ -96,7 +96,8 @@ def _explained(each: Explained, found: Diagnosis) -> dict[str, Any]:
         "explanation": list(each.explanation), "probability": each.probability,
         "ln_evidence": each.ln_evidence,
         "fitted": fitted is not None, "simulated": each.simulated,
-        "values": dict(fitted.values) if fitted else {}, "at_bound": list(fitted.at_bound) if fitted else [],
+        "values": dict(fitted.values) if fitted else {},
+        "at_bound": list(fitted.at_bound.values()) if fitted else [],
         "f_kappa": f_kappa_estimate(found.common_errors.get(each.explanation, ())),
     }  # fmt: skip
 

@@ -431,7 +431,7 @@ def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng):
     softness = {each.name: each.prior for each in the_bench.predictions.sizes("adipose-layer")}[
         "log_fat_softness"
     ]
-    assert not any("higher bound" in each for each in fitted.at_bound)
+    assert not any("higher bound" in each for each in fitted.at_bound.values())
     assert abs(fitted.values["log_fat_softness"] - softness.mean) < softness.deviation
 
 

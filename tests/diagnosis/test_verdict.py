@@ -69,6 +69,25 @@ def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
     assert "the size of offset may as well be none" in found.reason
 
 
+@pytest.mark.parametrize(("parameter", "word"), [("offset", "ambiguous"), ("its place", "named")])
+def test_an_effect_whose_size_ends_on_its_limit_is_not_named(rng, parameter, word, monkeypatch):
+    """The data ask for more of it than there can be: an error of the models. Its place may end anywhere."""
+    case = toy.make(rng, {"offset": 5.0})
+    usual = case.fit
+
+    def limited(explanation, start):
+        found = usual(explanation, start)
+        words = {parameter: "offset ended on its higher bound 5"} if "offset" in explanation else {}
+        return replace(found, at_bound=words)
+
+    monkeypatch.setattr(type(case), "fit", lambda _, explanation, start: limited(explanation, start))
+    found = run(case)
+    assert found.verdict == word
+    assert found.effects["offset"] >= decisions.CREDIBLE
+    if word == "ambiguous":
+        assert "more of it than there can be (offset ended on its higher bound 5)" in found.reason
+
+
 @pytest.mark.parametrize(("p", "verdict"), [(0.06, "named"), (0.04, "ambiguous")])
 def test_an_effect_that_leaves_a_part_of_the_data_is_not_named(rng, monkeypatch, p, verdict):
     """However probable it is among those known: something else may be missing."""

@@ -135,7 +135,7 @@ class Fitted:
 
     prediction : (n,); jacobian : (n, n_base + n_effect_parameters), the base parameters
     first (in logs), then the effects' in the order of the explanation
-    values : of all parameters by name; at_bound : messages for parameters that ended on a bound, or outside
+    values : of all parameters by name; at_bound : by parameter, a message where it ended on a bound of
     the physically possible range
     point : of the effects' grids
     without : (n,) prediction without the effects whose form is only approximate; None if there are none
@@ -151,7 +151,7 @@ class Fitted:
     base_names: tuple[str, ...]
     values: Mapping[str, float]
     effect_names: tuple[str, ...] = ()
-    at_bound: tuple[str, ...] = ()
+    at_bound: Mapping[str, str] = field(default_factory=dict)
     point: str = ""
     without: Array | None = None
     priors: Priors = field(default_factory=lambda: Priors.about(np.zeros(0), ()))

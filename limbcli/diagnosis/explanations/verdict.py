@@ -2,9 +2,9 @@
 
 The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing missing,
 which draws from the noise show. Else the effects that every likely explanation has are named if together
-these have 95 %, none of their sizes may be none, and they describe every part of the data; if not, the set of
-explanations with 95 % is reported. If even the most probable one fails the posterior predictive check, the
-verdict is unexplained.
+these have 95 %, none of their sizes may be none or ends on the limit of what there can be, and they describe
+every part of the data; if not, the set of explanations with 95 % is reported. If even the most probable one
+fails the posterior predictive check, the verdict is unexplained.
 """
 
 from __future__ import annotations
@@ -123,6 +123,9 @@ class _Run:
             if absent := self._of_any_size(chosen):
                 why = f"{alone}, but the size of {' and of '.join(absent)} may as well be none"
                 return self._finish("ambiguous", why, ())
+            if limits := self._on_limits(chosen):
+                why = f"{alone}, but the data ask for more of it than there can be ({'; '.join(limits)})"
+                return self._finish("ambiguous", why, ())
             left = () if relative else self._checked(self.search.known[chosen]).flagged
             if left:
                 return self._finish("ambiguous", f"{alone}, but does not describe {' and '.join(left)}", ())
@@ -142,6 +145,12 @@ class _Run:
             if sizes and all(low <= null <= high for null, low, high in sizes):
                 found.append(name)
         return found
+
+    def _on_limits(self, chosen: Explanation) -> list[str]:
+        """Sizes that the fit ends on the limit of: errors of the models look like an effect of any size."""
+        at_bound = self.search.known[chosen].fitted.at_bound
+        sizes = [self.search.linear[()].best(name).direction.priors for name in chosen]
+        return [at_bound[size] for each in sizes for size in each if size in at_bound]
 
     @property
     def nothing(self) -> float:

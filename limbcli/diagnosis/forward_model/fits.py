@@ -113,7 +113,7 @@ class Fits:
         return Fitted(
             explanation, predict.predict(x, model), predict.jacobian(x, model), base_names=("c", "m"),
             values=values, effect_names=tuple(sizes),
-            at_bound=tuple(words for each in slots if (words := each.on_bound(sizes[each.name]))),
+            at_bound={each.name: words for each in slots if (words := each.on_bound(sizes[each.name]))},
             point=label, without=self._without_approximate(x, model),
             priors=Priors.about(x, predict.priors(explanation)),
             amplification=predict.amplification(x, model),
