@@ -16,15 +16,17 @@ from limbcli.diagnosis.forward_model.predictions import NOTHING
 from limbcli.diagnosis.forward_model.surrogate import SiteCurves
 from limbcli.diagnosis.mesh_error.numerical_checks import STIFFER, f_kappa_at
 from limbcli.effects.curves import log_force_at
+from limbcli.feb.settings import USUAL_PENALTY
 from limbcli.model import Array
 from limbcli.numbers.units import mpa_from_kpa
 
 _STEP = 0.02  # of ln m, in the derivatives
 _MOST_APART = 2.0  # factor between the m found and those of the other forces
 _STIFFEST = 1.0  # deviations of f_kappa from the value in the models: the largest that is simulated
-# Penalty of a probe that presses as hard as in the diagnosis' curves, which have no penetration: with it the
-# demo's limb (edges of 2.5 mm) gives 0.9 % more force than with 20, and 0.4 % less than without penetration.
-_HARD = 80.0
+# Penalty of a probe that presses as hard as in the diagnosis' curves, which have no penetration: the demo's
+# limb (edges of 2.5 mm) gives 0.9 % more force with it than with the usual one, and 0.4 % less than without
+# penetration.
+_HARD = 4.0 * USUAL_PENALTY
 
 
 def diagnosed_force(found: Diagnosis, curves: SiteCurves) -> dict[str, Any] | None:
