@@ -7,7 +7,7 @@ from typing import Annotated, Any, ClassVar
 
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
 from limbcli.api.stage_result import Result, one
-from limbcli.numbers.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
+from limbcli.numbers.mesh_bounds import SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
 from limbcli.options import CASE, OUT, PROGRESS, TEMPLATES, WAIT, Option
 from limbcli.results import StageResult
 from limbcli.stages.in_socket.patch_pressure import PatchPressure
@@ -54,14 +54,14 @@ def socket(
             "slower.",
             SOCKET_PENALTY,
         ),
-    ] = 20.0,
+    ] = 200.0,
     penetration_mm: Annotated[
         float,
         Option(
             "How far the skin may lie behind the wall (augmented contact); 0: as far as the penalty allows.",
             SOCKET_PENETRATION_MM,
         ),
-    ] = PENETRATION_MM,
+    ] = 0.0,
     intervals: Annotated[
         bool, Option("95 % limits of pressure and shear, from the limb's draws (up to twelve more solves).")
     ] = True,

@@ -14,5 +14,4 @@ LIMB_SITE_SIZE_MM: Final = (1.5, 20.0)  # its edge length round the sites
 SOCKET_STEPS: Final = (1, 200)  # load steps of donning, and of each load
 SOCKET_PENALTY: Final = (1.0, 1000.0)  # of the contact with the socket
 SOCKET_PENETRATION_MM: Final = (0.0, 2.0)  # tolerance of the contact; 0: penalty alone
-PENETRATION_MM: Final = 0.1
 LIMB_CUT_MM: Final = (30.0, 1000.0)  # height of its proximal cut above its distal end

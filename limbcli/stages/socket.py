@@ -16,7 +16,6 @@ from limbcli.feb.write import write_feb
 from limbcli.meshing.export import write_vtu
 from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import load_model
-from limbcli.numbers.mesh_bounds import PENETRATION_MM
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import note_templates, noted
@@ -43,8 +42,8 @@ _LEAST_RADIUS_MM = 30.0
 _MOST_OFF = 0.1  # error of the held-out solve above which the intervals are called rough
 _SOFT_MM, _SOFT = 0.5, 0.2  # penetration that is reported: mm, and of the deepest interference
 _NOT_FOR_FEBIO = (
-    "socket.feb: under load FEBio 4.11 found no equilibrium of friction with augmented contact; for a file "
-    "that FEBio solves give --penetration-mm 0, and a --contact-penalty of 500 for a small penetration"
+    "socket.feb: under load FEBio 4.11 found no equilibrium of friction with augmented contact; without "
+    "--penetration-mm the file is one that it solves"
 )
 _BALANCE = 1e-4  # of the largest force: a larger remainder is an error
 
@@ -65,7 +64,7 @@ class SocketOptions:
     donning_steps: int = DonningOptions.donning_steps
     load_steps: int = DonningOptions.load_steps
     contact_penalty: float = DonningOptions.penalty
-    penetration_mm: float = PENETRATION_MM
+    penetration_mm: float = 0.0
     intervals: bool = True
 
 

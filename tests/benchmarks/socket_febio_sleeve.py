@@ -105,7 +105,7 @@ def main() -> None:
     given.work.mkdir(parents=True, exist_ok=True)
     options = DonningOptions(
         friction=given.friction, loads_n=(2.0,), donning_steps=6, load_steps=3, search_radius_mm=8.0,
-        penetration_mm=given.penetration_mm or None, slip_as_febio=given.slip_as_febio,
+        penalty=20.0, penetration_mm=given.penetration_mm or None, slip_as_febio=given.slip_as_febio,
         skin=LINER if given.liner else "skin", liner_slides=given.liner == "slides",
     )  # fmt: skip
     feb = given.work / "socket.feb"

@@ -124,8 +124,8 @@ def interval(value: float) -> Interval:
 
 def rows_of(together: LimbInSocket, model: LimbModel, friction: float, pose: Pose) -> list[PatchPressure]:
     options = DonningOptions(
-        friction=friction, loads_n=LOADS, axis="z", donning_steps=6, load_steps=3, skin=together.touching,
-        search_radius_mm=max(30.0, together.fit.deepest_mm + 10.0),
+        friction=friction, loads_n=LOADS, axis="z", donning_steps=6, load_steps=3, penalty=20.0,
+        skin=together.touching,        search_radius_mm=max(30.0, together.fit.deepest_mm + 10.0),
     )  # fmt: skip
     states = don_and_load(model, misplaced(together.face, pose[:2], pose[2:]), options).states
     return patch_rows(states, patch_masks(together.limb), together.skin.areas)

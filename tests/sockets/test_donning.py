@@ -25,7 +25,9 @@ from limbcli.sockets.knee import KneeLoad
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.reference import prepare
 
-OPTIONS = DonningOptions(loads_n=(0.5, 1.0), donning_steps=6, load_steps=2, search_radius_mm=8.0)
+OPTIONS = DonningOptions(
+    loads_n=(0.5, 1.0), donning_steps=6, load_steps=2, penalty=20.0, search_radius_mm=8.0
+)
 TAPER = 0.1
 
 

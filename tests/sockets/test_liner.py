@@ -101,7 +101,7 @@ def test_a_liner_with_friction_on_both_faces_is_donned(penetration_mm: float | N
     limb, wall = sleeve.lined(sleeve.limb(tet10=False), sleeve.face(), "slides")
     options = DonningOptions(
         friction=0.3, loads_n=(), donning_steps=6, search_radius_mm=8.0, penetration_mm=penetration_mm,
-        skin=LINER, liner_slides=True,
+        penalty=20.0, skin=LINER, liner_slides=True,
     )  # fmt: skip
     iterations = []
     listener = Progress(lambda kind, facts: iterations.append(kind == "newton" and facts["iteration"] > 0))
@@ -113,7 +113,13 @@ def test_a_liner_with_friction_on_both_faces_is_donned(penetration_mm: float | N
 def test_a_liner_that_hardly_slides_is_nearly_a_bonded_one() -> None:
     """Friction 2 on the skin, and little penetration: what holds and what strains is then the same."""
     options = DonningOptions(
-        loads_n=(), donning_steps=3, search_radius_mm=8.0, penetration_mm=0.04, skin=LINER, liner_friction=2.0
+        loads_n=(),
+        donning_steps=3,
+        penalty=20.0,
+        search_radius_mm=8.0,
+        penetration_mm=0.04,
+        skin=LINER,
+        liner_friction=2.0,
     )
     found = {}
     for how in ("bonded", "slides"):
