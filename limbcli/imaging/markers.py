@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.signed_distance import box_around, is_near
 from limbcli.imaging.volume import Volume
@@ -65,7 +66,7 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
     height = np.full(limb.shape, _AWAY)
     if body.any():
         window = box_around(body, np.ceil(_AWAY / spacing))
-        height[window] = ndimage.distance_transform_edt(~body[window], sampling=spacing)
+        height[window] = distance_to(body[window], spacing)
     bright = (intensities.values > 0.5 * intensities.fat) & (height > 0) & (height < _AWAY)
     parts, n_parts = ndimage.label(bright, np.ones((3, 3, 3), bool))
     kept = np.zeros(limb.shape, bool)
@@ -122,8 +123,8 @@ def _body(limb: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
     grid = spacing * step
     pad = [(0, 0), (0, 0), (int(np.ceil(_BALL / grid[2])) + 1,) * 2]
     wide = np.pad(coarse, pad, mode="edge")
-    core = ndimage.distance_transform_edt(wide, sampling=grid) > _BALL
-    near = ndimage.distance_transform_edt(~core, sampling=grid) - _BALL
+    core = distance_to(~wide, grid) > _BALL
+    near = distance_to(core, grid) - _BALL
     near = near[:, :, pad[2][0] : wide.shape[2] - pad[2][1]]
     at = [np.clip(np.arange(n) / s, 0, m - 1) for n, s, m in zip(fine.shape, step, near.shape, strict=True)]
     smooth = ndimage.map_coordinates(near, np.meshgrid(*at, indexing="ij"), order=1)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.segmentation import Segmentation
 from limbcli.imaging.signed_distance import depth_inside
 from limbcli.imaging.volume import Volume
@@ -143,7 +144,7 @@ def _in_two(limb: Volume) -> float:
     found = []
     for k in large.tolist():
         section = np.pad(limb.values[:: steps[0], :: steps[1], k], 1)
-        depth = ndimage.distance_transform_edt(section, sampling=limb.spacing[:2] * steps)
+        depth = distance_to(~section, limb.spacing[:2] * steps)
         parts, n_parts = ndimage.label(depth > _APART * depth.max())
         sizes = np.sort(np.bincount(parts.ravel(), minlength=n_parts + 1)[1:])
         found.append(n_parts > 1 and sizes[-2] > _COMPARABLE * sizes[-1])

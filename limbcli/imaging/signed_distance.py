@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.model import Array
 
 REACH = 8.0  # mm: distances are clipped to this
@@ -45,7 +46,7 @@ def depth_inside(mask: NDArray[np.bool_], spacing: Array) -> Array:
     found = np.zeros(mask.shape)
     if mask.any():
         window = box_around(mask, 1)
-        found[window] = ndimage.distance_transform_edt(mask[window], sampling=spacing)
+        found[window] = distance_to(~mask[window], spacing)
     return found
 
 
@@ -58,7 +59,7 @@ def is_near(mask: NDArray[np.bool_], reach: float, spacing: Array) -> NDArray[np
     found = np.zeros(mask.shape, bool)
     if mask.any():
         window = box_around(mask, np.ceil(reach / np.asarray(spacing)))
-        found[window] = ndimage.distance_transform_edt(~mask[window], sampling=spacing) <= reach
+        found[window] = distance_to(mask[window], spacing) <= reach
     return found
 
 
@@ -69,8 +70,7 @@ def _distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float32]:
     if mask.all():
         return np.full(mask.shape, REACH, np.float32)
     half = 0.5 * float(np.min(spacing))
-    inside = ndimage.distance_transform_edt(mask, sampling=spacing)
-    outside = ndimage.distance_transform_edt(~mask, sampling=spacing)
+    inside, outside = distance_to(~mask, spacing), distance_to(mask, spacing)
     return np.clip(np.where(mask, inside - half, half - outside), -REACH, REACH).astype(np.float32)
 
 
