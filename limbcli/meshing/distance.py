@@ -20,6 +20,7 @@ from limbcli.model import Array
 from limbcli.numbers.compiled import njit
 
 _BAND = 3.0  # half width, in voxels, of the band round the surface in which distances are exact
+_ROUNDING = 1e-9  # of squared distances, grid units
 _FAR = 1e6
 # grid of `Heights`: cells along a body's longest side, and margin round the body, mm
 _CELLS, _MARGIN_MM = 90, 8.0
@@ -183,11 +184,22 @@ def _near_distance(corners: Any, shape: Any, band: float) -> Any:
         n0, n1, n2 = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
         size = max(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2), 1e-12)
         a, b, c = (a0, a1, a2), (b0, b1, b2), (c0, c1, c2)
+        # The triangle lies in a ball; a sample at distance q from its centre and h from the plane is at
+        # least sqrt(q^2 - h^2) - radius away within the plane, whose square exceeds (q^2 - h^2)/2 - radius^2.
+        m0, m1, m2 = (a0 + b0 + c0) / 3, (a1 + b1 + c1) / 3, (a2 + b2 + c2) / 3
+        m = m0, m1, m2
+        radius = max(_dot(_less(a, m), _less(a, m)), _dot(_less(b, m), _less(b, m)), _dot(_less(c, m), _less(c, m)))
+        reach = (band + np.sqrt(radius)) ** 2
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
-                for k in range(k0, k1 + 1):
+                aside = (i - m0) ** 2 + (j - m1) ** 2
+                if aside > reach:
+                    continue
+                half = np.sqrt(reach - aside)
+                for k in range(max(k0, int(np.ceil(m2 - half))), min(k1, int(np.floor(m2 + half))) + 1):
                     height = (n0 * (i - a0) + n1 * (j - a1) + n2 * (k - a2)) / size
-                    if height * height < best[i, j, k]:
+                    least = 0.5 * (height * height + aside + (k - m2) ** 2) - radius
+                    if max(height * height, least - _ROUNDING) < best[i, j, k]:
                         d = _squared_distance((float(i), float(j), float(k)), a, b, c)
                         if d < best[i, j, k]:
                             best[i, j, k] = d
