@@ -73,13 +73,11 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
     centres, sizes = [], []
     if n_parts:
         volumes = np.bincount(parts.ravel(), minlength=n_parts + 1) * volume.voxel_volume
-        highest = ndimage.maximum(height, parts, np.arange(n_parts + 1))
-        boxes = ndimage.find_objects(parts)
-        for number in range(1, n_parts + 1):
-            extent = [(s.stop - s.start) * h for s, h in zip(boxes[number - 1], spacing, strict=True)]
+        for number, box in enumerate(ndimage.find_objects(parts), 1):
+            extent = [(s.stop - s.start) * h for s, h in zip(box, spacing, strict=True)]
             low, high = MARKER_SIZES_MM3
             right_size = low <= volumes[number] <= high and max(extent) <= _LONGEST
-            if not right_size or highest[number] < _PROUD:
+            if not right_size or height[box][parts[box] == number].max() < _PROUD:
                 continue
             here = parts == number
             kept |= here
@@ -127,9 +125,16 @@ def _body(limb: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
     near = distance_to(core, grid) - _BALL
     near = near[:, :, pad[2][0] : wide.shape[2] - pad[2][1]]
     at = [np.clip(np.arange(n) / s, 0, m - 1) for n, s, m in zip(fine.shape, step, near.shape, strict=True)]
-    smooth = ndimage.map_coordinates(near, np.meshgrid(*at, indexing="ij"), order=1)
+    # Interpolation can only change the answer where the corners of a cell of the coarse grid disagree.
+    cell = np.ix_(*(each.astype(int) for each in at))
+    inside = (near <= 0).astype(np.int8)
+    beyond = {"size": 2, "origin": -1, "mode": "nearest"}
+    found = fine & (ndimage.maximum_filter(inside, **beyond)[cell] > 0)
+    mixed = np.nonzero(found & (ndimage.minimum_filter(inside, **beyond)[cell] == 0))
+    places = [each[index] for each, index in zip(at, mixed, strict=True)]
+    found[mixed] = ndimage.map_coordinates(near, places, order=1) <= 0
     body = np.zeros_like(limb)
-    body[window] = (smooth <= 0) & fine
+    body[window] = found
     return body
 
 
