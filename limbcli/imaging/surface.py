@@ -132,7 +132,10 @@ def remeshed(surface: Triangles, *, edge: float) -> Triangles:
     meshes.add_mesh(pymeshlab.Mesh(surface.points - centre, surface.faces.astype(np.int32)))
     meshes.meshing_merge_close_vertices(threshold=pymeshlab.PureValue(1e-3 * edge))
     meshes.meshing_isotropic_explicit_remeshing(
-        iterations=4, targetlen=pymeshlab.PureValue(edge), featuredeg=40.0, adaptive=False,
+        iterations=4,
+        targetlen=pymeshlab.PureValue(edge),
+        featuredeg=40.0,
+        adaptive=False,
         checksurfdist=False,
     )
     meshes.meshing_remove_duplicate_vertices()

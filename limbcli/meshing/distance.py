@@ -188,7 +188,9 @@ def _near_distance(corners: Any, shape: Any, band: float) -> Any:
         # least sqrt(q^2 - h^2) - radius away within the plane, whose square exceeds (q^2 - h^2)/2 - radius^2.
         m0, m1, m2 = (a0 + b0 + c0) / 3, (a1 + b1 + c1) / 3, (a2 + b2 + c2) / 3
         m = m0, m1, m2
-        radius = max(_dot(_less(a, m), _less(a, m)), _dot(_less(b, m), _less(b, m)), _dot(_less(c, m), _less(c, m)))
+        radius = max(
+            _dot(_less(a, m), _less(a, m)), _dot(_less(b, m), _less(b, m)), _dot(_less(c, m), _less(c, m))
+        )
         reach = (band + np.sqrt(radius)) ** 2
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
