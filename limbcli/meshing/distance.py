@@ -311,21 +311,28 @@ def _anchors(phi: Any) -> Any:
 
 @njit
 def _sweep(d: Any, anchored: Any) -> None:
-    """First-order fast sweeping of |grad d| = 1 from the anchored samples, in place."""
+    """First-order fast sweeping of |grad d| = 1 from the anchored samples, in place.
+
+    Each layer is swept by its diagonals: of their samples none needs another, so a processor overlaps them.
+    """
     nx, ny, nz = d.shape
+    w = np.full((nx + 2, ny + 2, nz + 2), _FAR)
+    w[1:-1, 1:-1, 1:-1] = d
     for corner in range(8):
-        i0, i1, di = (0, nx, 1) if corner & 1 else (nx - 1, -1, -1)
-        j0, j1, dj = (0, ny, 1) if corner & 2 else (ny - 1, -1, -1)
-        k0, k1, dk = (0, nz, 1) if corner & 4 else (nz - 1, -1, -1)
-        for i in range(i0, i1, di):
-            for j in range(j0, j1, dj):
-                for k in range(k0, k1, dk):
-                    if not anchored[i, j, k]:
-                        x = min(d[i - 1, j, k] if i else _FAR, d[i + 1, j, k] if i < nx - 1 else _FAR)
-                        y = min(d[i, j - 1, k] if j else _FAR, d[i, j + 1, k] if j < ny - 1 else _FAR)
-                        z = min(d[i, j, k - 1] if k else _FAR, d[i, j, k + 1] if k < nz - 1 else _FAR)
-                        if min(x, y, z) < d[i, j, k]:
-                            d[i, j, k] = min(d[i, j, k], _eikonal(x, y, z))
+        i0, di = (1, 1) if corner & 1 else (nx, -1)
+        j0, dj = (1, 1) if corner & 2 else (ny, -1)
+        k0, dk = (1, 1) if corner & 4 else (nz, -1)
+        for layer in range(nx):
+            i = i0 + di * layer
+            for diagonal in range(ny + nz - 1):
+                for n in range(max(0, diagonal - nz + 1), min(ny, diagonal + 1)):
+                    j, k = j0 + dj * n, k0 + dk * (diagonal - n)
+                    if not anchored[i - 1, j - 1, k - 1]:
+                        x = min(w[i - 1, j, k], w[i + 1, j, k])
+                        y = min(w[i, j - 1, k], w[i, j + 1, k])
+                        z = min(w[i, j, k - 1], w[i, j, k + 1])
+                        w[i, j, k] = min(w[i, j, k], _eikonal(x, y, z))
+    d[:] = w[1:-1, 1:-1, 1:-1]
 
 
 @njit
