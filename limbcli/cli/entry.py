@@ -15,7 +15,6 @@ from types import FrameType
 
 from limbcli.cli.output import INTERRUPTED, MESSAGE, keep_stdout_for_results, say
 
-
 # Objects made between two looks for unreachable cycles (Python's own: 700). Imports and pictures make some
 # hundred thousand that stay.
 _OBJECTS = 50_000

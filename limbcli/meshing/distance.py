@@ -8,6 +8,7 @@ unions, clearances and offsets are minima and maxima of distance fields.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -121,14 +122,19 @@ class Heights:
         spacing = float(max((high - low).max() / _CELLS, 0.5))
         self._box = low - _MARGIN_MM, high + _MARGIN_MM
         self._distance = signed_distance(surface, grid_over(*self._box, spacing))
-        self._tree = cKDTree(np.concatenate([surface.points, surface.centroids]))
+        self._surface = surface
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(np.concatenate([self._surface.points, self._surface.centroids]))
 
     def of(self, points: Array) -> Array:
         """Signed distances (n,), mm, of points (n, 3); negative inside."""
         low, high = self._box
         near = ((points > low) & (points < high)).all(axis=1)
         found = self._distance.at(points)
-        found[~near] = self._tree.query(points[~near])[0]
+        if not near.all():
+            found[~near] = self._tree.query(points[~near])[0]
         return found
 
     def deepest(self, share: float) -> Array:
