@@ -30,9 +30,9 @@ def fibre_picture(
     """
     across, down = _PANEL_INCHES
     figure, places = panel_sheet([across] * 2, [down], _MARGINS, title)
-    left, right = places.subplots()
+    panels: Any = places.subplots()
     middles = mesh.points[block.cells].mean(axis=1)
-    for panel, axis in ((left, 1), (right, 0)):
+    for panel, axis in zip(panels, (1, 0), strict=True):
         draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0, sides=sides)
         _draw_axes(panel, middles, axes, axis)
         panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")

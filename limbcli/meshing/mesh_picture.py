@@ -27,7 +27,7 @@ def mesh_picture(
     """
     across, down = _PANEL_INCHES
     figure, places = panel_sheet([across] * 2, [down] * 2, _MARGINS, title)
-    axes = places.subplots()
+    axes: Any = places.subplots()
     draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth, sides=sides)
     draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth, sides=sides)
     _from_above(axes[1, 0], mesh, probe, sides)
