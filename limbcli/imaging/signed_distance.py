@@ -114,14 +114,20 @@ def filled_by_slice(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Fill holes within each slice along the last axis."""
     out = np.empty_like(mask)
     for k in range(mask.shape[2]):
-        out[:, :, k] = ndimage.binary_fill_holes(mask[:, :, k])
+        parts, n_parts = ndimage.label(~mask[:, :, k])
+        is_outside = np.zeros(n_parts + 1, bool)
+        for side in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+            is_outside[side] = True
+        is_outside[0] = False  # the mask itself
+        out[:, :, k] = ~is_outside[parts]
     return out
 
 
 def box_around(mask: NDArray[np.bool_], margin: Array | float) -> tuple[slice, ...]:
     """Slices of the mask's bounding box, enlarged by `margin` voxels on every side within the array."""
-    (box,) = ndimage.find_objects(mask.astype(np.uint8))
-    sides = zip(box, mask.shape, np.broadcast_to(margin, mask.ndim), strict=True)
+    axes = range(mask.ndim)
+    filled = [np.flatnonzero(mask.any(axis=tuple(each for each in axes if each != axis))) for axis in axes]
+    sides = zip(filled, mask.shape, np.broadcast_to(margin, mask.ndim), strict=True)
     return tuple(
-        slice(max(0, int(each.start - more)), int(min(n, each.stop + more))) for each, n, more in sides
+        slice(max(0, int(each[0] - more)), int(min(n, each[-1] + 1 + more))) for each, n, more in sides
     )
