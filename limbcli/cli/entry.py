@@ -5,6 +5,7 @@ No heavy module is imported before the signal handlers are set.
 
 from __future__ import annotations
 
+import gc
 import io
 import os
 import signal
@@ -14,9 +15,14 @@ from types import FrameType
 
 from limbcli.cli.output import INTERRUPTED, MESSAGE, keep_stdout_for_results, say
 
+# Objects made between two looks for unreachable cycles (Python's own: 700). Imports and pictures make some
+# hundred thousand that stay.
+_OBJECTS = 50_000
+
 
 def main() -> None:
     """The installed command `limbcli`."""
+    gc.set_threshold(_OBJECTS, *gc.get_threshold()[1:])
     _open_closed_streams()
     if not sys.warnoptions:  # those of libraries, for developers; -W or PYTHONWARNINGS shows them
         warnings.simplefilter("ignore")

@@ -20,7 +20,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import nnls
 
 from limbcli.errors import SolveError
 from limbcli.model import Array
@@ -116,6 +115,8 @@ def _shares(hold: HeldIndentation) -> Array:
         )  # fmt: skip
     gone = 1.0 - held_memory(hold, SPREADS)[used]
     table = np.column_stack([np.ones(len(force)), -gone]) / force[:, None]
+    from scipy.optimize import nnls
+
     off = _misfit(table, nnls(table, np.ones(len(force)))[0])
     # A time step accepted before full convergence appears as a single outlier.
     fair = off <= max(_STRAY, 5.0 * float(np.median(off)))

@@ -12,7 +12,6 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator
 
 from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import Array, LimbModel
@@ -70,6 +69,8 @@ def _gap(model: LimbModel, probe: Array) -> float:
     near = skin[np.all(np.abs(skin[:, :2]) < reach, axis=1)]
     if len(near) < 4:
         return float("nan")
+    from scipy.interpolate import LinearNDInterpolator
+
     above = probe[:, 2] - LinearNDInterpolator(near[:, :2], near[:, 2])(probe[:, :2])
     return float(np.nanmin(above)) if np.isfinite(above).any() else float("nan")
 

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import TissueIntensities
-from limbcli.imaging.signed_distance import box_around, closed, evened, opened
+from limbcli.imaging.signed_distance import box_around, closed, evened, is_near, opened
 from limbcli.model import Array
 
 _THICKEST = 14.0  # largest thickness of cortex, mm (the tibial crest)
@@ -69,7 +70,7 @@ def _shell(
 ) -> NDArray[np.bool_]:
     """Marrow and cortex in one slice."""
     radius = np.sqrt(marrow.sum() * np.prod(spacing) / np.pi)
-    outside = ndimage.distance_transform_edt(~marrow, sampling=spacing)
+    outside = distance_to(marrow, spacing)
     dark, dip = walls
     wall = (dark & (outside < min(_THICKEST, 4.0 + 1.2 * radius))) | (dip & (outside < _THIN))
     rim = (outside < 0.6) & (values < intensities.between)
@@ -90,7 +91,7 @@ def _add_caps(
         for k in range(k_end + direction, k_end + direction * (n_most + 1), direction):
             if not 0 <= k < bone.shape[2]:
                 break
-            near = ndimage.distance_transform_edt(~before, sampling=spacing[:2]) <= 1.0
+            near = is_near(before, 1.0, spacing[:2])
             disc = opened(ndimage.binary_fill_holes(dark[:, :, k] & near), 1.5, spacing[:2])
             if disc.sum() * np.prod(spacing[:2]) < 8.0:
                 break

@@ -77,6 +77,8 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     coarse = _block_mean(volume.values, step)
     inside = _block_mean(limb.astype(np.float32), step) > 0.9
     sigma = SHADING_LENGTH / (volume.spacing * step)
+    near_mean = _smoothing(coarse.shape, sigma, mode="constant")
+    wide_mean = _smoothing(coarse.shape, 3 * sigma, mode="nearest")
     floor = 0.3 * np.median(coarse[inside])
     use = inside & (coarse > floor)
     log_signal = np.log(np.maximum(coarse, floor))
@@ -89,7 +91,7 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
         fat = np.abs(flat - intensities[1]) < np.abs(flat - intensities[0])
         residual = log_signal - np.where(fat, intensities[1], intensities[0])
         near = use & (np.abs(residual - field) < 0.5)
-        field = _smooth(residual, near, sigma)
+        field = _smooth(residual, near, near_mean, wide_mean)
         flat = log_signal - field
         intensities = np.array([np.median(flat[near & ~fat]), np.median(flat[near & fat])])
     shading = _refine(np.exp(field), step, volume.shape)
@@ -131,13 +133,27 @@ def _block_mean(values: NDArray, step: NDArray[np.int_]) -> NDArray[np.float64]:
     return padded.reshape(a, step[0], b, step[1], c, step[2]).mean(axis=(1, 3, 5)).astype(float)
 
 
-def _smooth(values: Array, weight: NDArray[np.bool_], sigma: Array) -> Array:
+def _smoothing(shape: tuple[int, ...], sigma: Array, *, mode: str) -> list[Array]:
+    """Gaussian smoothing as one matrix per axis: a width like the image's makes a filter that is longer."""
+    return [
+        ndimage.gaussian_filter1d(np.eye(n), each, axis=0, mode=mode)
+        for n, each in zip(shape, sigma, strict=True)
+    ]
+
+
+def _smoothed(values: Array, along: list[Array]) -> Array:
+    for matrix in along:  # each turns the first axis to the end, so that three give the order back
+        values = np.tensordot(values, matrix, (0, 1))
+    return values
+
+
+def _smooth(
+    values: Array, weight: NDArray[np.bool_], near_mean: list[Array], wide_mean: list[Array]
+) -> Array:
     """Gaussian mean of `values` where `weight`, extrapolated smoothly elsewhere."""
     w = weight.astype(float)
-    top = ndimage.gaussian_filter(values * w, sigma, mode="constant")
-    bottom = ndimage.gaussian_filter(w, sigma, mode="constant")
-    wide = ndimage.gaussian_filter(values * w, 3 * sigma, mode="nearest")
-    wide_weight = ndimage.gaussian_filter(w, 3 * sigma, mode="nearest")
+    top, bottom = _smoothed(values * w, near_mean), _smoothed(w, near_mean)
+    wide, wide_weight = _smoothed(values * w, wide_mean), _smoothed(w, wide_mean)
     trust = 1e-3
     return (top + trust * wide / np.maximum(wide_weight, 1e-9)) / (bottom + trust)
 

@@ -12,6 +12,7 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
@@ -131,9 +132,7 @@ def _of_one_limb(turned: Volume, side: Side | None) -> tuple[Volume, tuple[str, 
     to_the_left = turned.to_patient(np.array(ndimage.center_of_mass(parts > 0, parts, limbs)))[:, 0]
     order = np.argsort(to_the_left)  # LPS: x increases towards the patient's left
     other, wanted = limbs[order if side == "left" else order[::-1]]
-    far, near = (
-        ndimage.distance_transform_edt(parts != each, sampling=turned.spacing) for each in (other, wanted)
-    )
+    far, near = (distance_to(parts == each, turned.spacing) for each in (other, wanted))
     values = np.where((turned.values > 0) & (far < near), 0, turned.values)
     return turned.with_values(values), (
         f"the label map contains two limbs: the patient's {side} one was taken",

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.errors import CaseError
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import otsu
 from limbcli.imaging.signed_distance import depth_inside, filled_by_slice
 from limbcli.imaging.skin_segmentation import background_threshold
@@ -72,8 +73,8 @@ def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = Non
 def _without(volume: Volume, parts: NDArray[np.int_], wanted: int, other: int) -> NDArray:
     """Replace the other limb and its surroundings, as far as they are nearer to it, by air."""
     air = float(np.median(volume.values[parts == 0])) if (parts == 0).any() else 0.0
-    to_wanted = ndimage.distance_transform_edt(parts != wanted, sampling=volume.spacing)
-    to_other = ndimage.distance_transform_edt(parts != other, sampling=volume.spacing)
+    to_wanted = distance_to(parts == wanted, volume.spacing)
+    to_other = distance_to(parts == other, volume.spacing)
     gone = (to_other < to_wanted) & (to_other <= _AROUND)
     values = volume.values.copy()
     values[gone] = air

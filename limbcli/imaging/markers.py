@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.signed_distance import box_around, is_near
 from limbcli.imaging.volume import Volume
@@ -65,20 +66,18 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
     height = np.full(limb.shape, _AWAY)
     if body.any():
         window = box_around(body, np.ceil(_AWAY / spacing))
-        height[window] = ndimage.distance_transform_edt(~body[window], sampling=spacing)
+        height[window] = distance_to(body[window], spacing)
     bright = (intensities.values > 0.5 * intensities.fat) & (height > 0) & (height < _AWAY)
     parts, n_parts = ndimage.label(bright, np.ones((3, 3, 3), bool))
     kept = np.zeros(limb.shape, bool)
     centres, sizes = [], []
     if n_parts:
         volumes = np.bincount(parts.ravel(), minlength=n_parts + 1) * volume.voxel_volume
-        highest = ndimage.maximum(height, parts, np.arange(n_parts + 1))
-        boxes = ndimage.find_objects(parts)
-        for number in range(1, n_parts + 1):
-            extent = [(s.stop - s.start) * h for s, h in zip(boxes[number - 1], spacing, strict=True)]
+        for number, box in enumerate(ndimage.find_objects(parts), 1):
+            extent = [(s.stop - s.start) * h for s, h in zip(box, spacing, strict=True)]
             low, high = MARKER_SIZES_MM3
             right_size = low <= volumes[number] <= high and max(extent) <= _LONGEST
-            if not right_size or highest[number] < _PROUD:
+            if not right_size or height[box][parts[box] == number].max() < _PROUD:
                 continue
             here = parts == number
             kept |= here
@@ -122,13 +121,20 @@ def _body(limb: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
     grid = spacing * step
     pad = [(0, 0), (0, 0), (int(np.ceil(_BALL / grid[2])) + 1,) * 2]
     wide = np.pad(coarse, pad, mode="edge")
-    core = ndimage.distance_transform_edt(wide, sampling=grid) > _BALL
-    near = ndimage.distance_transform_edt(~core, sampling=grid) - _BALL
+    core = distance_to(~wide, grid) > _BALL
+    near = distance_to(core, grid) - _BALL
     near = near[:, :, pad[2][0] : wide.shape[2] - pad[2][1]]
     at = [np.clip(np.arange(n) / s, 0, m - 1) for n, s, m in zip(fine.shape, step, near.shape, strict=True)]
-    smooth = ndimage.map_coordinates(near, np.meshgrid(*at, indexing="ij"), order=1)
+    # Interpolation can only change the answer where the corners of a cell of the coarse grid disagree.
+    cell = np.ix_(*(each.astype(int) for each in at))
+    inside = (near <= 0).astype(np.int8)
+    beyond = {"size": 2, "origin": -1, "mode": "nearest"}
+    found = fine & (ndimage.maximum_filter(inside, **beyond)[cell] > 0)
+    mixed = np.nonzero(found & (ndimage.minimum_filter(inside, **beyond)[cell] == 0))
+    places = [each[index] for each, index in zip(at, mixed, strict=True)]
+    found[mixed] = ndimage.map_coordinates(near, places, order=1) <= 0
     body = np.zeros_like(limb)
-    body[window] = (smooth <= 0) & fine
+    body[window] = found
     return body
 
 

@@ -12,6 +12,7 @@ from skimage.measure import regionprops
 from skimage.morphology import disk
 from skimage.segmentation import watershed
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import TissueIntensities
 from limbcli.imaging.signed_distance import box_around, closed, depth_inside, opened
 from limbcli.model import Array
@@ -186,8 +187,8 @@ def _next_slice(
     pixels = 1.0 / in_plane.min()
     window = box_around(before, np.ceil((flare + 8.0) / in_plane))
     here, core_of = values[window], before[window]
-    outside = ndimage.distance_transform_edt(~core_of, sampling=in_plane)
-    inside = ndimage.distance_transform_edt(core_of, sampling=in_plane)
+    outside = distance_to(core_of, in_plane)
+    inside = distance_to(~core_of, in_plane)
     line = ndimage.grey_closing(here, footprint=disk(max(1, round(1.5 * pixels)))) - here
     markers = np.zeros(here.shape, np.int32)
     calm = ndimage.gaussian_filter(here, 0.73 * pixels)

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.markers import MARKER_SIZES_MM3
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
 from limbcli.imaging.signed_distance import filled_by_slice
@@ -46,7 +47,7 @@ def own_number_doubts(labels: Volume) -> list[str]:
         doubts.append(f"a skin marker (3) would have {largest / 1e3:.3g} cm3")
     elif _share(marker & seen, limb) > _MOST:
         doubts.append("the skin markers (3) would lie within the limb")
-    depth = ndimage.distance_transform_edt(limb, sampling=turned.spacing)
+    depth = distance_to(~limb, turned.spacing)
     if (values == FAT).any() and (values == SOFT_TISSUE).any():
         fat, soft = (float(np.median(depth[values == each])) for each in (FAT, SOFT_TISSUE))
         if fat > soft:

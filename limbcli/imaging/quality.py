@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.segmentation import Segmentation
-from limbcli.imaging.signed_distance import depth_inside
+from limbcli.imaging.signed_distance import box_around, depth_inside
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
@@ -143,7 +144,7 @@ def _in_two(limb: Volume) -> float:
     found = []
     for k in large.tolist():
         section = np.pad(limb.values[:: steps[0], :: steps[1], k], 1)
-        depth = ndimage.distance_transform_edt(section, sampling=limb.spacing[:2] * steps)
+        depth = distance_to(~section, limb.spacing[:2] * steps)
         parts, n_parts = ndimage.label(depth > _APART * depth.max())
         sizes = np.sort(np.bincount(parts.ravel(), minlength=n_parts + 1)[1:])
         found.append(n_parts > 1 and sizes[-2] > _COMPARABLE * sizes[-1])
@@ -165,8 +166,9 @@ def _share_at_skin(bone: NDArray[np.bool_], limb: NDArray[np.bool_]) -> float:
 
 
 def _holes(mask: Volume) -> float:
-    filled = ndimage.binary_fill_holes(mask.values)
-    return float((filled & ~mask.values).sum() * mask.voxel_volume)
+    here = mask.values[box_around(mask.values, 1)]
+    filled = ndimage.binary_fill_holes(here)
+    return float((filled & ~here).sum() * mask.voxel_volume)
 
 
 def _thinnest(bone: Volume) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from limbcli.imaging.distance_transform import distance_to
 from limbcli.model import Array
 
 REACH = 8.0  # mm: distances are clipped to this
@@ -45,7 +46,7 @@ def depth_inside(mask: NDArray[np.bool_], spacing: Array) -> Array:
     found = np.zeros(mask.shape)
     if mask.any():
         window = box_around(mask, 1)
-        found[window] = ndimage.distance_transform_edt(mask[window], sampling=spacing)
+        found[window] = distance_to(~mask[window], spacing)
     return found
 
 
@@ -58,7 +59,7 @@ def is_near(mask: NDArray[np.bool_], reach: float, spacing: Array) -> NDArray[np
     found = np.zeros(mask.shape, bool)
     if mask.any():
         window = box_around(mask, np.ceil(reach / np.asarray(spacing)))
-        found[window] = ndimage.distance_transform_edt(~mask[window], sampling=spacing) <= reach
+        found[window] = distance_to(mask[window], spacing) <= reach
     return found
 
 
@@ -69,8 +70,7 @@ def _distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float32]:
     if mask.all():
         return np.full(mask.shape, REACH, np.float32)
     half = 0.5 * float(np.min(spacing))
-    inside = ndimage.distance_transform_edt(mask, sampling=spacing)
-    outside = ndimage.distance_transform_edt(~mask, sampling=spacing)
+    inside, outside = distance_to(~mask, spacing), distance_to(mask, spacing)
     return np.clip(np.where(mask, inside - half, half - outside), -REACH, REACH).astype(np.float32)
 
 
@@ -114,14 +114,20 @@ def filled_by_slice(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Fill holes within each slice along the last axis."""
     out = np.empty_like(mask)
     for k in range(mask.shape[2]):
-        out[:, :, k] = ndimage.binary_fill_holes(mask[:, :, k])
+        parts, n_parts = ndimage.label(~mask[:, :, k])
+        is_outside = np.zeros(n_parts + 1, bool)
+        for side in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+            is_outside[side] = True
+        is_outside[0] = False  # the mask itself
+        out[:, :, k] = ~is_outside[parts]
     return out
 
 
 def box_around(mask: NDArray[np.bool_], margin: Array | float) -> tuple[slice, ...]:
     """Slices of the mask's bounding box, enlarged by `margin` voxels on every side within the array."""
-    (box,) = ndimage.find_objects(mask.astype(np.uint8))
-    sides = zip(box, mask.shape, np.broadcast_to(margin, mask.ndim), strict=True)
+    axes = range(mask.ndim)
+    filled = [np.flatnonzero(mask.any(axis=tuple(each for each in axes if each != axis))) for axis in axes]
+    sides = zip(filled, mask.shape, np.broadcast_to(margin, mask.ndim), strict=True)
     return tuple(
-        slice(max(0, int(each.start - more)), int(min(n, each.stop + more))) for each, n, more in sides
+        slice(max(0, int(each[0] - more)), int(min(n, each[-1] + 1 + more))) for each, n, more in sides
     )

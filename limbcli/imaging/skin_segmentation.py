@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.imaging.intensity import TissueIntensities, otsu
-from limbcli.imaging.signed_distance import evened, filled_by_slice, largest, opened
+from limbcli.imaging.signed_distance import evened, filled_by_slice, is_near, largest, opened
 from limbcli.imaging.volume import Volume
 
 _ROUGH = 0.33  # fraction of Otsu's threshold that skin (darker than muscle on T1) still exceeds
@@ -83,7 +83,7 @@ def skin_outline(
     values = _blurred(volume.with_values(intensities.values))
     reach = [max(1, round(1.0 / each)) for each in volume.spacing[:2]]
     beside = ndimage.grey_dilation(values, footprint=_ellipse(*reach)[:, :, None])
-    near = ndimage.binary_dilation(rough, _ellipse(*(3 * n for n in reach))[:, :, None])
+    near = is_near(rough, 1.0, np.array([*(1 / (3 * n) for n in reach), 2.0]))  # within the slices
     if threshold is not None:
         above = (raw > threshold) & near
     else:

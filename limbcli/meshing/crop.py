@@ -69,7 +69,7 @@ def _area(surface: Triangles, plane: Plane, slab: tuple[float, float], *, facing
     near = (height > slab[0]) & (height < slab[1])
     if not near.any():
         return 0.0
-    area = surface.area_vectors[near]
+    area = Triangles(surface.points, surface.faces[near]).area_vectors
     size = np.linalg.norm(area, axis=1)
     flat = facing * (area @ plane.normal) > 0.75 * size
     return float(size[flat].sum())

@@ -8,6 +8,7 @@ unions, clearances and offsets are minima and maxima of distance fields.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from limbcli.model import Array
 from limbcli.numbers.compiled import njit
 
 _BAND = 3.0  # half width, in voxels, of the band round the surface in which distances are exact
+_ROUNDING = 1e-9  # of squared distances, grid units
 _FAR = 1e6
 # grid of `Heights`: cells along a body's longest side, and margin round the body, mm
 _CELLS, _MARGIN_MM = 90, 8.0
@@ -120,14 +122,19 @@ class Heights:
         spacing = float(max((high - low).max() / _CELLS, 0.5))
         self._box = low - _MARGIN_MM, high + _MARGIN_MM
         self._distance = signed_distance(surface, grid_over(*self._box, spacing))
-        self._tree = cKDTree(np.concatenate([surface.points, surface.centroids]))
+        self._surface = surface
+
+    @cached_property
+    def _tree(self) -> cKDTree:
+        return cKDTree(np.concatenate([self._surface.points, self._surface.centroids]))
 
     def of(self, points: Array) -> Array:
         """Signed distances (n,), mm, of points (n, 3); negative inside."""
         low, high = self._box
         near = ((points > low) & (points < high)).all(axis=1)
         found = self._distance.at(points)
-        found[~near] = self._tree.query(points[~near])[0]
+        if not near.all():
+            found[~near] = self._tree.query(points[~near])[0]
         return found
 
     def deepest(self, share: float) -> Array:
@@ -183,11 +190,24 @@ def _near_distance(corners: Any, shape: Any, band: float) -> Any:
         n0, n1, n2 = u[1] * v[2] - u[2] * v[1], u[2] * v[0] - u[0] * v[2], u[0] * v[1] - u[1] * v[0]
         size = max(np.sqrt(n0 * n0 + n1 * n1 + n2 * n2), 1e-12)
         a, b, c = (a0, a1, a2), (b0, b1, b2), (c0, c1, c2)
+        # The triangle lies in a ball; a sample at distance q from its centre and h from the plane is at
+        # least sqrt(q^2 - h^2) - radius away within the plane, whose square exceeds (q^2 - h^2)/2 - radius^2.
+        m0, m1, m2 = (a0 + b0 + c0) / 3, (a1 + b1 + c1) / 3, (a2 + b2 + c2) / 3
+        m = m0, m1, m2
+        radius = max(
+            _dot(_less(a, m), _less(a, m)), _dot(_less(b, m), _less(b, m)), _dot(_less(c, m), _less(c, m))
+        )
+        reach = (band + np.sqrt(radius)) ** 2
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
-                for k in range(k0, k1 + 1):
+                aside = (i - m0) ** 2 + (j - m1) ** 2
+                if aside > reach:
+                    continue
+                half = np.sqrt(reach - aside)
+                for k in range(max(k0, int(np.ceil(m2 - half))), min(k1, int(np.floor(m2 + half))) + 1):
                     height = (n0 * (i - a0) + n1 * (j - a1) + n2 * (k - a2)) / size
-                    if height * height < best[i, j, k]:
+                    least = 0.5 * (height * height + aside + (k - m2) ** 2) - radius
+                    if max(height * height, least - _ROUNDING) < best[i, j, k]:
                         d = _squared_distance((float(i), float(j), float(k)), a, b, c)
                         if d < best[i, j, k]:
                             best[i, j, k] = d
@@ -297,21 +317,28 @@ def _anchors(phi: Any) -> Any:
 
 @njit
 def _sweep(d: Any, anchored: Any) -> None:
-    """First-order fast sweeping of |grad d| = 1 from the anchored samples, in place."""
+    """First-order fast sweeping of |grad d| = 1 from the anchored samples, in place.
+
+    Each layer is swept by its diagonals: of their samples none needs another, so a processor overlaps them.
+    """
     nx, ny, nz = d.shape
+    w = np.full((nx + 2, ny + 2, nz + 2), _FAR)
+    w[1:-1, 1:-1, 1:-1] = d
     for corner in range(8):
-        i0, i1, di = (0, nx, 1) if corner & 1 else (nx - 1, -1, -1)
-        j0, j1, dj = (0, ny, 1) if corner & 2 else (ny - 1, -1, -1)
-        k0, k1, dk = (0, nz, 1) if corner & 4 else (nz - 1, -1, -1)
-        for i in range(i0, i1, di):
-            for j in range(j0, j1, dj):
-                for k in range(k0, k1, dk):
-                    if not anchored[i, j, k]:
-                        x = min(d[i - 1, j, k] if i else _FAR, d[i + 1, j, k] if i < nx - 1 else _FAR)
-                        y = min(d[i, j - 1, k] if j else _FAR, d[i, j + 1, k] if j < ny - 1 else _FAR)
-                        z = min(d[i, j, k - 1] if k else _FAR, d[i, j, k + 1] if k < nz - 1 else _FAR)
-                        if min(x, y, z) < d[i, j, k]:
-                            d[i, j, k] = min(d[i, j, k], _eikonal(x, y, z))
+        i0, di = (1, 1) if corner & 1 else (nx, -1)
+        j0, dj = (1, 1) if corner & 2 else (ny, -1)
+        k0, dk = (1, 1) if corner & 4 else (nz, -1)
+        for layer in range(nx):
+            i = i0 + di * layer
+            for diagonal in range(ny + nz - 1):
+                for n in range(max(0, diagonal - nz + 1), min(ny, diagonal + 1)):
+                    j, k = j0 + dj * n, k0 + dk * (diagonal - n)
+                    if not anchored[i - 1, j - 1, k - 1]:
+                        x = min(w[i - 1, j, k], w[i + 1, j, k])
+                        y = min(w[i, j - 1, k], w[i, j + 1, k])
+                        z = min(w[i, j, k - 1], w[i, j, k + 1])
+                        w[i, j, k] = min(w[i, j, k], _eikonal(x, y, z))
+    d[:] = w[1:-1, 1:-1, 1:-1]
 
 
 @njit

@@ -7,15 +7,15 @@ from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection
-from matplotlib.figure import Figure
 
-from limbcli.drawing import put_title, save_picture
+from limbcli.drawing import Margins, panel_sheet, save_picture
 from limbcli.meshing.mesh_picture import draw_cut
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array, Block, Mesh
 
 # mm: half length of a line, distance between lines, thickness of the section
 _HALF_LENGTH, _SPACING, _SLICE = 2.2, 5.0, 4.0
+_PANEL_INCHES, _MARGINS = (4.1, 3.5), Margins(0.8, 0.35, 0.5, labelled=True)
 _COLOUR = "#8c1d18"
 
 
@@ -28,14 +28,14 @@ def fibre_picture(
     block, axes (n_cells, 3) : the tissue and the unit fibre direction in each of its cells
     sides : sides of the patient towards which x and y point
     """
-    figure = Figure(figsize=(10, 4.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
+    across, down = _PANEL_INCHES
+    figure, places = panel_sheet([across] * 2, [down], _MARGINS, title)
+    panels: Any = places.subplots()
     middles = mesh.points[block.cells].mean(axis=1)
-    for panel, axis in ((left, 1), (right, 0)):
+    for panel, axis in zip(panels, (1, 0), strict=True):
         draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0, sides=sides)
         _draw_axes(panel, middles, axes, axis)
         panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")
-    put_title(figure, title)
     save_picture(figure, path, dpi=143)
 
 

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.figure import Figure
 
-from limbcli.drawing import put_title, save_picture
+from limbcli.drawing import Margins, panel_sheet, save_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import MeshQuality, dihedral_angles_deg
 from limbcli.model import Array, IntArray, Mesh
 
+_PANEL_INCHES, _MARGINS = (4.1, 3.1), Margins(0.8, 0.4, 0.5, labelled=True)
 _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 
 
@@ -25,13 +25,13 @@ def mesh_picture(
 
     sides : sides of the patient towards which x and y point
     """
-    figure = Figure(figsize=(10, 8), layout="constrained")
-    axes = figure.subplots(2, 2)
+    across, down = _PANEL_INCHES
+    figure, places = panel_sheet([across] * 2, [down] * 2, _MARGINS, title)
+    axes: Any = places.subplots()
     draw_cut(axes[0, 0], mesh, probe, axis=1, start_depth=start_depth, sides=sides)
     draw_cut(axes[0, 1], mesh, probe, axis=0, start_depth=start_depth, sides=sides)
     _from_above(axes[1, 0], mesh, probe, sides)
     _histogram(axes[1, 1], mesh, figures)
-    put_title(figure, title)
     save_picture(figure, path, dpi=143)
 
 

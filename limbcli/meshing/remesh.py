@@ -34,6 +34,7 @@ from limbcli.model import Array, IntArray
 
 # mm: neither curvature nor thin tissue reduces the edge length below this; a smaller requested size still can
 _MIN_SIZE = 1.5
+_AT_SURFACE = 1.5  # grid spacings: samples closer to a surface limit edges by its curvature
 _CROWDED = 0.1  # fraction of the target length: a shorter edge is an artefact
 # cosine between the normals of two adjacent faces, below which they are folded onto each other
 _FOLDED = -0.9998
@@ -99,10 +100,11 @@ def size_field(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Siz
         limit = np.minimum(limit, 1.4 * thickness + 0.3)
         limit = np.minimum(limit, _cleft_limit(domain, sizes.far))
         limit = np.maximum(limit, min(sizes.thin, sizes.far))
-    sag = _chord_error(domain, probes)
     for field in (domain.skin, domain.bone):
         if field is not None:
-            limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
+            at = np.abs(field.values) < _AT_SURFACE * field.grid.spacing
+            sag = _chord_error(domain, probes, field.grid.points()[at])
+            limit[at] = np.minimum(limit[at], _bend_limit(field, at, sag, sizes.far, least=sizes.bends))
     limit[~_within_cuts(domain)] = sizes.far
     bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
     return SizeField(sizes, probes, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
@@ -118,23 +120,28 @@ def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.boo
 
 
 def _chord_error(
-    domain: TissueDomain, probes: tuple[PlacedProbe, ...], *, near: float = 0.25, growth: float = 0.03
-) -> Array:
-    """Permitted deviation (mm) of facets from the true surface: small under the probes, larger far away; of a
-    whole limb at most twice that under them."""
-    sag = near + growth * distance_to_faces(probes, domain.skin.grid.points())
+    domain: TissueDomain, probes: tuple[PlacedProbe, ...], points: Array, *, near: float = 0.25,
+    growth: float = 0.03,
+) -> Array:  # fmt: skip
+    """Permitted deviation (n,), mm, of facets from the true surface at points (n, 3).
+
+    Small under the probes, larger far away; of a whole limb at most twice that under them.
+    """
+    sag = near + growth * distance_to_faces(probes, points)
     return np.minimum(sag, 2 * near) if domain.whole else sag
 
 
-def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
-    """Edge length that keeps chords within `sag` of a curved surface: sqrt(8 sag / curvature)."""
+def _bend_limit(field: Field, at: NDArray[np.bool_], sag: Array, far: float, *, least: float) -> Array:
+    """Edge length (n,) that keeps chords within `sag` (n,) of a curved surface: sqrt(8 sag / curvature).
+
+    at : the n samples of the grid that are close to the surface
+    """
     h = field.grid.spacing
     phi = ndimage.gaussian_filter(field.values, 1.5)
     gradient = np.gradient(phi, h)
     size = np.sqrt(sum(each**2 for each in gradient)) + 1e-6
     bend = np.abs(sum(np.gradient(g / size, h, axis=k) for k, g in enumerate(gradient)))
-    limit = np.where(np.abs(field.values) < 1.5 * h, np.sqrt(8 * sag / np.maximum(bend, 1e-6)), far)
-    return np.clip(limit, min(least, far), far)
+    return np.clip(np.sqrt(8 * sag / np.maximum(bend[at], 1e-6)), min(least, far), far)
 
 
 def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Array:

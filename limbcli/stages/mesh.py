@@ -38,7 +38,6 @@ from limbcli.site_model.mesh_checks import (
     moved_warnings,
 )
 from limbcli.site_model.mesh_inputs import MeshInputs
-from limbcli.site_model.mesh_study import study_site
 from limbcli.site_model.segmented_limb import read_limb, site_position
 from limbcli.site_model.site_layers import (
     Layering,
@@ -106,6 +105,8 @@ def mesh(
         own = replace(own, layers=layers)
         results.append(mesh_site(inputs, site, limb, own, sources, out, progress))
         if study:
+            from limbcli.site_model.mesh_study import study_site  # with the solver, which no mesh needs
+
             results.append(study_site(inputs, site, limb, own, out=out, progress=progress))
     return results
 

@@ -5,8 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from limb_images import Limb
+from scipy import ndimage
 
-from limbcli.imaging.markers import number_markers
+from limbcli.imaging.distance_transform import distance_to
+from limbcli.imaging.markers import _BALL, _body, number_markers
 from limbcli.imaging.segmentation import segment_limb
 from limbcli.imaging.volume import Volume
 
@@ -66,3 +68,30 @@ def test_four_markers_are_found_and_the_skin_under_them_stays_whole():
 def test_a_limb_without_markers_has_none():
     image, _ = Limb().image(shape=(104, 92, 10), samples=1)
     assert segment_limb(image).markers == ()
+
+
+@pytest.mark.parametrize("spacing", [(0.7, 0.486, 3.0), (1.0, 1.0, 1.0)])
+def test_the_limb_without_markers_is_interpolated_wherever_it_matters(rng, spacing):
+    """Against interpolation at every voxel of the limb's box."""
+    h, shape = np.array(spacing), np.ceil(np.array((92.0, 90.0, 36.0)) / spacing).astype(int)
+    x, y, z = ((np.indices(shape).T - (shape - 1) / 2) * h).T
+    limb = (np.hypot(x, 1.2 * y) < 32.0) | (np.hypot(x - 32.0, y) + np.abs(z) < 7.0)
+    limb |= ndimage.gaussian_filter(rng.standard_normal(shape), 3.0 / h) > 0.09
+    limb[[0, -1]], limb[:, [0, -1]] = False, False
+    step = np.maximum(1, np.floor(1.5 / h)).astype(int)
+    i, j, k = (np.flatnonzero(limb.any(axis=axes)) for axes in ((1, 2), (0, 2), (0, 1)))
+    margin = 1 + np.ceil(4.0 / h).astype(int)
+    box = tuple(
+        slice(max(0, each[0] - m), min(n, each[-1] + 1 + m))
+        for each, m, n in zip((i, j, k), margin, shape, strict=True)
+    )
+    fine = limb[box]
+    beyond = int(np.ceil(_BALL / (h * step)[2])) + 1
+    wide = np.pad(fine[:: step[0], :: step[1], :: step[2]], ((0, 0), (0, 0), (beyond, beyond)), mode="edge")
+    core = distance_to(~wide, h * step) > _BALL
+    near = (distance_to(core, h * step) - _BALL)[:, :, beyond : wide.shape[2] - beyond]
+    at = [np.clip(np.arange(n) / s, 0, m - 1) for n, s, m in zip(fine.shape, step, near.shape, strict=True)]
+    expected = np.zeros_like(limb)
+    expected[box] = (ndimage.map_coordinates(near, np.meshgrid(*at, indexing="ij"), order=1) <= 0) & fine
+    assert 0 < expected.sum() < limb.sum()
+    np.testing.assert_array_equal(_body(limb, h), expected)

@@ -2,10 +2,23 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 
-from limbcli.meshing.distance import Field, distance_again, grid_over, rounded, signed_distance
+from limbcli.meshing.distance import (
+    _FAR,
+    Field,
+    _eikonal,
+    _near_distance,
+    _squared_distance,
+    _sweep,
+    distance_again,
+    grid_over,
+    rounded,
+    signed_distance,
+)
 from limbcli.meshing.surfaces import Triangles, join
 
 
@@ -75,3 +88,38 @@ def test_a_patch_turned_inside_out_is_outvoted(make_ball, grid):
     field = signed_distance(Triangles(ball.points, turned), grid)
     exact = np.linalg.norm(grid.points(), axis=-1) - 12.0
     assert (np.sign(field.values) == np.sign(exact))[np.abs(exact) > 1].all()
+
+
+def test_distances_near_a_surface_are_the_least_to_any_triangle(rng):
+    """Against all triangles: none that is passed over would have been nearer."""
+    corners = 6.0 + rng.normal(0.0, (2.5, 2.0, 3.0), (14, 1, 3)) + rng.normal(0.0, 0.8, (14, 3, 3))
+    shape, band = (13, 11, 12), 3.0
+    expected = np.full(shape, band * band)
+    for at in np.ndindex(shape):
+        for a, b, c in corners:
+            place = tuple(map(float, at))
+            expected[at] = min(expected[at], _squared_distance(place, tuple(a), tuple(b), tuple(c)))
+    np.testing.assert_array_equal(_near_distance(corners, shape, band), np.sqrt(expected))
+
+
+def test_sweeping_by_diagonals_is_sweeping_by_lines(rng):
+    """The same samples are updated from the same neighbours, so every bit is the same."""
+    anchored = rng.random((7, 9, 6)) < 0.05
+    start = np.where(anchored, rng.random(anchored.shape), _FAR)
+    expected, found = start.copy(), start.copy()
+    padded = np.pad(expected, 1, constant_values=_FAR)
+    for corner in range(8):
+        lines = (
+            range(1, n + 1) if corner & bit else range(n, 0, -1)
+            for n, bit in zip(start.shape, (1, 2, 4), strict=True)
+        )
+        for i, j, k in product(*lines):
+            if not anchored[i - 1, j - 1, k - 1]:
+                near = (
+                    min(padded[i - 1, j, k], padded[i + 1, j, k]),
+                    min(padded[i, j - 1, k], padded[i, j + 1, k]),
+                    min(padded[i, j, k - 1], padded[i, j, k + 1]),
+                )
+                padded[i, j, k] = min(padded[i, j, k], _eikonal(*near))
+    _sweep(found, anchored)
+    np.testing.assert_array_equal(found, padded[1:-1, 1:-1, 1:-1])
