@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import TissueIntensities
-from limbcli.imaging.signed_distance import box_around, closed, evened, is_near, opened
+from limbcli.imaging.signed_distance import box_around, closed, distance_to, evened, is_near, opened
 from limbcli.model import Array
 
 _THICKEST = 14.0  # largest thickness of cortex, mm (the tibial crest)

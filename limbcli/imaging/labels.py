@@ -12,11 +12,10 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.files.atomic import atomic_file
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.markers import MarkerCapsule, number_markers
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE, Segmentation
-from limbcli.imaging.signed_distance import filled_by_slice, largest
+from limbcli.imaging.signed_distance import distance_to, filled_by_slice, largest
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume, require_placed
 from limbcli.model import Array
 

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.errors import CaseError
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import otsu
-from limbcli.imaging.signed_distance import depth_inside, filled_by_slice
+from limbcli.imaging.signed_distance import depth_inside, distance_to, filled_by_slice
 from limbcli.imaging.skin_segmentation import background_threshold
 from limbcli.imaging.volume import Volume
 

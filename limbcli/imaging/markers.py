@@ -9,9 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import TissueIntensities
-from limbcli.imaging.signed_distance import box_around, is_near
+from limbcli.imaging.signed_distance import box_around, distance_to, is_near
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 

@@ -12,9 +12,8 @@ from skimage.measure import regionprops
 from skimage.morphology import disk
 from skimage.segmentation import watershed
 
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.intensity import TissueIntensities
-from limbcli.imaging.signed_distance import box_around, closed, depth_inside, opened
+from limbcli.imaging.signed_distance import box_around, closed, depth_inside, distance_to, opened
 from limbcli.model import Array
 
 _DARK = 0.65  # signal, muscle = 1: cortex is darker, even if blurred because it is thin

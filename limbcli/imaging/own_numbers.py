@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.markers import MARKER_SIZES_MM3
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
-from limbcli.imaging.signed_distance import filled_by_slice
+from limbcli.imaging.signed_distance import distance_to, filled_by_slice
 from limbcli.imaging.volume import Volume
 
 _MOST = 0.5  # fraction of a tissue that may lie where it does not belong

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.segmentation import Segmentation
-from limbcli.imaging.signed_distance import box_around, depth_inside
+from limbcli.imaging.signed_distance import box_around, depth_inside, distance_to
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 

@@ -6,7 +6,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.model import Array
 
 REACH = 8.0  # mm: distances are clipped to this
@@ -33,6 +32,17 @@ def signed_distance(mask: NDArray[np.bool_], spacing: Array) -> NDArray[np.float
         here: tuple[slice | int, ...] = (*window, int(k))
         field[here] = _distance(mask[here], spacing[:2])
     return field
+
+
+def distance_to(mask: NDArray[np.bool_], spacing: Array) -> Array:
+    """Distance of every voxel to the nearest one of a mask, mm; inf if the mask is empty.
+
+    >>> distance_to(np.array([[True, False, False]]), np.array([3.0, 2.0]))
+    array([[0., 2., 4.]])
+    """
+    if not mask.any():
+        return np.full(mask.shape, np.inf)
+    return np.asarray(ndimage.distance_transform_edt(~mask, sampling=spacing))
 
 
 def depth_inside(mask: NDArray[np.bool_], spacing: Array) -> Array:

@@ -7,9 +7,9 @@ import pytest
 from limb_images import Limb
 from scipy import ndimage
 
-from limbcli.imaging.distance_transform import distance_to
 from limbcli.imaging.markers import _BALL, _body, number_markers
 from limbcli.imaging.segmentation import segment_limb
+from limbcli.imaging.signed_distance import distance_to
 from limbcli.imaging.volume import Volume
 
 pytestmark = pytest.mark.slow
