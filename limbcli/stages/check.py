@@ -16,9 +16,10 @@ from typing import Any
 from limbcli.case import CASE_FILE, Site, read_case
 from limbcli.case.label_sources import read_label_sources
 from limbcli.case.reading import CaseReading
+from limbcli.case.socket import socket_of
 from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError, MeasurementError
-from limbcli.errors.problems import Problem, errors_of
+from limbcli.errors.problems import Problem, errors_of, suggestion
 from limbcli.measurement.elastography import check_maps, check_mean, check_width, map_file
 from limbcli.measurement.indentation import check_levels, check_trace
 from limbcli.measurement.levels import FEWEST_LOADING
@@ -105,6 +106,9 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
         bones = imaging.get("bones")
         surfaces = [imaging.get("skin"), *(bones if isinstance(bones, list) else [])]
         listed += [(each, _read_surface) for each in surfaces]
+    socket = raw.get("socket")
+    if isinstance(socket, dict):
+        listed += [(socket.get("surface"), _read_surface)]
     sites = raw.get("site")
     for site in sites if isinstance(sites, list) else []:
         if isinstance(site, dict):
@@ -188,7 +192,7 @@ def _contradictions(case: Any, known: Sequence[Problem]) -> list[Problem]:
         )
     shape = ProbeShape(probe.length, probe.width, probe.edge_radius)
     problems += _caught(lambda: check_shape(shape, where=str(case.file)))
-    problems += _shared_files(case)
+    problems += _shared_files(case) + _socket_names(case)
     for site in case.sites:
         problems += _unmeasured(site, case.folder)
         problems += _too_few(site) + _other_distance(site, str(case.file))
@@ -203,6 +207,20 @@ def _contradictions(case: Any, known: Sequence[Problem]) -> list[Problem]:
                 )
             )
     return problems
+
+
+def _socket_names(case: Any) -> list[Problem]:
+    """Patches and landmarks of [socket] that no limb has; those that this limb lacks show in `limb`."""
+    from limbcli.meshing.limb_parts import LANDMARKS, PATCHES
+
+    socket = socket_of(case)
+    if socket is None:
+        return []
+    named = [("patch", socket.rectifications, PATCHES), ("landmark", socket.landmarks, LANDMARKS)]
+    return [
+        Problem(f"[socket] names a {what} {name!r}", str(case.file), suggestion(name, known))
+        for what, given, known in named for name in given if name not in known
+    ]  # fmt: skip
 
 
 def _shared_files(case: Any) -> list[Problem]:
