@@ -23,7 +23,7 @@ from limbcli.case.reading import CaseReading
 from limbcli.case.socket import read_socket
 from limbcli.case.stated_fibres import check_fibres, read_fibres
 from limbcli.case.states import read_states, site_schema
-from limbcli.case.toml_file import read_toml
+from limbcli.case.toml_file import read_toml, toml_fix
 from limbcli.config import at_home
 from limbcli.errors import CaseError
 from limbcli.errors.file_system import not_in_utf8
@@ -219,7 +219,8 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     except UnicodeDecodeError as error:
         return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
     except ValueError as error:
-        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "correct that line")]
+        what = f"case.toml is not valid TOML: {error}"
+        return None, [Problem(what, str(path), toml_fix(path, error))]
 
 
 def _read_sites(tables: object, reading: CaseReading, imaging: Imaging) -> list[Site]:
