@@ -137,8 +137,10 @@ def _read_maps(folder: Path) -> list[Problem]:
 
 def _read_mri(path: Path) -> list[Problem]:
     from limbcli.imaging.image_files import read_image
+    from limbcli.imaging.volume import unplaced
 
-    return _caught(lambda: read_image(path))
+    found: list[Problem] = []
+    return _caught(lambda: found.extend(unplaced(read_image(path).volume, path))) + found
 
 
 def _read_labels(raw: Mapping[str, Any], folder: Path) -> tuple[list[str], list[Problem], list[str]]:
