@@ -98,11 +98,15 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
         ("[probe]", "[prob]", "unknown key 'prob'"),
         ("[[site]]", "[site]", "no site"),
         ("format = 1", "format = 1\nformat = 1", "not valid TOML"),
-        ("length_mm = 53.0", "length_mm = 53,0", "correct that line, `length_mm = 53,0`: write a decimal point"),
+        (
+            "length_mm = 53.0",
+            "length_mm = 53,0",
+            "correct that line, `length_mm = 53,0`: write a decimal point",
+        ),
         ('id = "S1"', "id = \u201cS1\u201d", "straight quotes"),
         ('mri = "mri"', 'mri = "C:\\scans\\mri"', "write the path with /"),
         ('id = "S1"', "id = S1", "write text between quotes"),
-        ('id = "S1"', 'id "S1"', "correct that line, `id \"S1\"`"),
+        ('id = "S1"', 'id "S1"', 'correct that line, `id "S1"`'),
     ],
 )
 def test_wrong_case_is_refused_with_a_fix(folder: Path, old: str, new: str, expected: str):

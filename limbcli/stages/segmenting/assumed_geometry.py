@@ -33,8 +33,8 @@ from limbcli.stages.segmenting.surfaces import read_body
 LENGTH = 300.0  # mm, length of a limb given by numbers: longer than any usual model with its margin
 # Tolerance of the layers' sum against the skin-bone distance: mm, and standard deviations (the larger).
 _SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0
-# Share of the layers' sum by which a probe that already presses at level 0 may have shortened it; beyond it the
-# numbers are wrong. Chosen.
+# Share of the layers' sum by which a probe that already presses at level 0 may have shortened it; beyond it
+# the numbers are wrong. Chosen.
 _PRESSED = 0.2
 _ASIDE = 0.5  # mm, difference from the anterior thickness above which a site is not anterior
 _DEPTH_OFF = 1.0  # mm, deviation of a shared bone's depth from a site's measurement that is reported
