@@ -225,7 +225,8 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
 
 def _read_sites(tables: object, reading: CaseReading, imaging: Imaging) -> list[Site]:
     if not isinstance(tables, list) or not tables:
-        reading.wrong("case.toml has no site", "add a [[site]] (see the case format)")
+        fix = "add a [[site]] (see the case format); only `segment`, `limb --c-kpa` and `socket` need none"
+        reading.wrong("case.toml has no site", fix)
         return []
     sites: list[Site] = []
     names: dict[str, str] = {}

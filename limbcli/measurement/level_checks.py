@@ -192,7 +192,8 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
                 fix = "check the reading, or measure this level again"
                 problems.append(problem(what, path, fix, line=lines[k], warning=True))
             elif depth[k] < depth[k - 1]:
-                fix = "check the depth reading of these levels; they are simulated in order of depth"
+                fix = "check the depth reading of these levels"
+                fix += "; they are simulated in order of depth" if sign > 0 else ""
                 verb = "shrinks" if sign > 0 else "grows"
                 with_force = "while the force does not" if force[k] >= force[k - 1] else "with the force"
                 what = f"the depth {verb} by {depth[k - 1] - depth[k]:.2g} mm {with_force} "
