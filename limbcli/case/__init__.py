@@ -208,7 +208,8 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     if (refused := not_in_utf8(folder)) is not None:
         return None, [Problem(refused.what, refused.where, refused.fix)]
     if not folder.is_dir():
-        fix = "give a folder that contains a case.toml"
+        is_file = folder.is_file() and folder.name == CASE_FILE
+        fix = f"give its folder, {folder.parent}" if is_file else "give a folder that contains a case.toml"
         return None, [Problem(f"there is no case folder {folder}", str(folder), fix)]
     if not path.is_file():
         subject = shlex.quote(str(folder / "subject"))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -183,6 +184,8 @@ def test_missing_folder_and_missing_file_differ(tmp_path: Path):
         Case.open(tmp_path / "nowhere")
     with pytest.raises(CaseError, match=r"contains no case\.toml"):
         Case.open(tmp_path)
+    with pytest.raises(CaseError, match=f"fix:   give its folder, {re.escape(str(tmp_path))}$"):
+        Case.open(write(tmp_path, GOOD) / "case.toml")
 
 
 def test_unknown_site_names_the_known_ones(folder: Path):

@@ -82,7 +82,9 @@ def limb_stiffness(
         except (CaseError, MeasurementError):
             continue
     if not speeds:
-        what = "no site is fitted, and none has a shear-wave speed at rest" if case.sites else "there is no site"
+        what = (
+            "no site is fitted, and none has a shear-wave speed at rest" if case.sites else "there is no site"
+        )
         fix = "run `limbcli fit CASE`" if case.sites else "add a [[site]] and fit it"
         raise CaseError(
             f"the limb's stiffness is unknown: {what}", where=case.subject,
