@@ -10,6 +10,7 @@ import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -78,6 +79,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
         reported = {each.what for each in problems}
         problems += [each for each in instrument_problems(case) if each.what not in reported]
         problems += state_problems(case)
+        problems += [each for site in case.sites if site.states for each in _caught(partial(_plan, site))]
         found, on_geometry = geometry_findings(case, problems)
         problems += found
         more = [each for each in on_geometry if each not in on_labels]
@@ -168,6 +170,12 @@ def _read_surface(path: Path) -> list[Problem]:
     from limbcli.imaging.surface import read_surface
 
     return _caught(lambda: read_surface(path))
+
+
+def _plan(site: Site) -> object:
+    from limbcli.fitting.state_plan import stretch_plan
+
+    return stretch_plan(site)
 
 
 def _caught(read: Callable[[], object]) -> list[Problem]:
