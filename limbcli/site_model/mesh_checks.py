@@ -69,7 +69,7 @@ def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> l
         return []
     return [
         f"the depth reaches {100 * deepest / modelled:.0f} % of the {modelled:.3g} mm from skin to bone: "
-        "limbs are hardly pressed so far, and simulations take long or end before; check depth_mm and the bone"
+        "limbs are hardly pressed so far, and simulations take long or end early; check depth_mm and the bone"
     ]
 
 
