@@ -23,7 +23,7 @@ from limbcli.case.reading import CaseReading
 from limbcli.case.socket import read_socket
 from limbcli.case.stated_fibres import check_fibres, read_fibres
 from limbcli.case.states import read_states, site_schema
-from limbcli.case.toml_file import read_toml
+from limbcli.case.toml_file import read_toml, toml_fix
 from limbcli.config import at_home
 from limbcli.errors import CaseError
 from limbcli.errors.file_system import not_in_utf8
@@ -208,7 +208,8 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     if (refused := not_in_utf8(folder)) is not None:
         return None, [Problem(refused.what, refused.where, refused.fix)]
     if not folder.is_dir():
-        fix = "give a folder that contains a case.toml"
+        is_file = folder.is_file() and folder.name == CASE_FILE
+        fix = f"give its folder, {folder.parent}" if is_file else "give a folder that contains a case.toml"
         return None, [Problem(f"there is no case folder {folder}", str(folder), fix)]
     if not path.is_file():
         subject = shlex.quote(str(folder / "subject"))
@@ -219,12 +220,14 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
     except UnicodeDecodeError as error:
         return None, [Problem(f"case.toml is not UTF-8 text: {error}", str(path), "save it as UTF-8")]
     except ValueError as error:
-        return None, [Problem(f"case.toml is not valid TOML: {error}", str(path), "correct that line")]
+        what = f"case.toml is not valid TOML: {error}"
+        return None, [Problem(what, str(path), toml_fix(path, error))]
 
 
 def _read_sites(tables: object, reading: CaseReading, imaging: Imaging) -> list[Site]:
     if not isinstance(tables, list) or not tables:
-        reading.wrong("case.toml has no site", "add a [[site]] (see the case format)")
+        fix = "add a [[site]] (see the case format); only `segment`, `limb --c-kpa` and `socket` need none"
+        reading.wrong("case.toml has no site", fix)
         return []
     sites: list[Site] = []
     names: dict[str, str] = {}

@@ -285,10 +285,22 @@ BONE_RADIUS_MM = 14.0
 STRETCHES = (0.5, 2.0)
 
 
-@_told({"anyOf": [{"const": "unknown"}, JSON[number(*STRETCHES, "")]]})
+@_told(JSON[number(*STRETCHES, "")])
+def known_stretch(value: object) -> str | None:
+    """A ratio of lengths.
+
+    >>> known_stretch(90)
+    'is 90; plausible values are 0.5 to 2 (a ratio of lengths, not a percentage or a strain)'
+    """
+    wrong = number(*STRETCHES, "")(value)
+    told = wrong and _is_number(value)
+    return f"{wrong} (a ratio of lengths, not a percentage or a strain)" if told else wrong
+
+
+@_told({"anyOf": [{"const": "unknown"}, JSON[known_stretch]]})
 def stretch(value: object) -> str | None:
     """A ratio of lengths, or "unknown"."""
-    return None if value == "unknown" else number(*STRETCHES, "")(value)
+    return None if value == "unknown" else known_stretch(value)
 
 
 # of a volume, or of the header whose values lie beside it
@@ -340,8 +352,8 @@ SITE = {
     "fibre_direction": Key("[x, y, z]", direction),
     "pennation": Key("list of tables", tables),
     "state": Key("list of tables", tables),
-    "unloaded_stretch_along": Key("1", number(*STRETCHES, "")),
-    "unloaded_stretch_around": Key("1", number(*STRETCHES, "")),
+    "unloaded_stretch_along": Key("1", known_stretch),
+    "unloaded_stretch_around": Key("1", known_stretch),
     "noise": Key("table", table),
     "layers": Key("table", table),
     "load_cell": Key("table", table),
@@ -406,8 +418,8 @@ PENNATION = {
 }
 STATE = {
     "name": Key("text", plain_name, required=True),
-    "stretch_along": Key("1 | unknown", stretch),
-    "stretch_around": Key("1 | unknown", stretch),
+    "stretch_along": Key('1 | "unknown"', stretch),
+    "stretch_around": Key('1 | "unknown"', stretch),
     "levels": Key("file", text, required=True),
 }
 NOISE = {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -31,6 +32,23 @@ def read_toml(path: Path) -> dict[str, Any]:
     return content
 
 
+def toml_fix(path: Path, error: ValueError) -> str:
+    """What to do about a file that `read_toml` cannot read, with the line that its error names."""
+    found = re.search(r"\(at line (\d+),", str(error))
+    if found is None:
+        return "correct that line"
+    line = path.read_text(encoding="utf-8-sig").split("\n")[int(found[1]) - 1].strip()
+    hint = next((words for pattern, words in _MISTAKES if re.search(pattern, line)), "")
+    return f"correct that line, `{line[:_SHOWN]}`{hint}"
+
+
+_SHOWN = 80  # characters of a line
+_MISTAKES = (
+    (r"=\s*[-+]?\d+,\d", ": write a decimal point"),
+    (r"[\u201c-\u201f\u2018\u2019]", ': write straight quotes, "..."'),
+    (r"\\", ": write the path with /"),
+    (r"=\s*[^\W\d_]", ': write text between quotes, "..."'),
+)  # what is common, by its pattern
 _TOO_DEEP = f"lists and tables are nested more than {_MOST_NESTED} deep"
 
 

@@ -79,8 +79,8 @@ def checked_cohort(path: Path) -> tuple[CohortTable | None, list[Problem]]:
         return None, problems
     table = replace(all_rows.rows(complete), n_incomplete=n_left)
     if face := unusual_face(raw.numbers, all_rows.face, complete):
-        fix = "check the units: a force in lbf makes the face 4.4 times too small; or give face_mm2"
-        problems.append(problem(face, path, fix, warning=True))
+        fix = "check the units: a force in kgf makes it 9.8 times too small; if it is so, give face_mm2"
+        problems.append(problem(face, path, fix))
     problems += _repeated(table) + _alike(table) + _sexes(table) + _partly_given(table)
     problems += _grown(table, layer_noise(table.shortened))
     return (None if errors_of(problems) else table), problems

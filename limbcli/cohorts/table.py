@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors.problems import Problem, similar
-from limbcli.measurement.number_table import RawTable, csv_rows, problem, read_table
+from limbcli.measurement.number_table import RawTable, header_of, problem, read_table
 from limbcli.model import Array
 
 LAYERS = ("skin", "fat", "muscle")
@@ -117,7 +117,7 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
     if not path.is_file():
         return None, [problem("the table was not found", path, "give a CSV file with the documented columns")]
     known = {*REQUIRED, *OPTIONAL, *TEXTS}
-    header = _header(path)
+    header = header_of(path, known | set(_ALSO))
     also = {name: meant for name, meant in _ALSO.items() if meant not in header}
     spare = {each for each in header if each and each not in known | set(also)}
     texts = {*TEXTS, *also, *spare}
@@ -132,17 +132,6 @@ def read_cohort(path: Path) -> tuple[RawTable | None, list[Problem]]:
         return None, problems
     columns = {also.get(name, name): each for name, each in table.texts.items() if name not in spare}
     return replace(table, texts=columns), problems
-
-
-def _header(path: Path) -> list[str]:
-    """The names in the header line; none if the file cannot be read (which `read_table` then reports)."""
-    try:
-        lines = path.read_text(encoding="utf-8-sig").splitlines()
-    except (OSError, UnicodeDecodeError):
-        return []
-    line = next((each for each in lines if each.strip() and not each.lstrip().startswith("#")), "")
-    rows, _ = csv_rows(line, path) if "," in line else ([], [])
-    return [cell.strip() for cell in rows[0]] if rows else []
 
 
 def _lacking(header: list[str], path: Path) -> list[Problem]:

@@ -11,7 +11,7 @@ from lxml import etree
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import encoded, render
-from limbcli.feb.xml import UNITS, VERSION, is_native, model_text, open_model, units_of
+from limbcli.feb.xml import UNITS, VERSION, is_native, model_text, open_model, stated_units, units_of
 from limbcli.files.xml import parsed_xml
 from limbcli.model import LimbModel
 
@@ -32,23 +32,23 @@ def runnable(source: Path) -> Runnable:
     support.
     """
     root = open_model(source)
+    said = [] if stated_units(root) else [f"the model states no unit system: it is taken to be in {UNITS}"]
     if not is_native(root):
         version, units = root.optional("version"), units_of(root)
-        said = [f"model converted from FEBio's format {version} to {VERSION}"] if version != VERSION else []
+        said += [f"model converted from FEBio's format {version} to {VERSION}"] if version != VERSION else []
         said += [f"model scaled from {units} to {UNITS}: results are in mm, N, MPa"] if units != UNITS else []
         return Runnable(encoded(render(_readable(source)), source), tuple(said))
     text = model_text(source)
     led = root.element.findall("Output/*[@file]")
     if not led:
-        return Runnable(text)
+        return Runnable(text, tuple(said))
     tree = parsed_xml(text)
     for each in tree.findall("Output/*[@file]"):
         del each.attrib["file"]
     names = " and ".join(f"<{each.tag}>" for each in led)
-    return Runnable(
-        cast(bytes, etree.tostring(tree.getroottree(), xml_declaration=True, encoding="ISO-8859-1")),
-        (f"file name of {names} left out: a run's log is model.log, and its plot file is not kept",),
-    )
+    said += [f"file name of {names} left out: a run's log is model.log, and its plot file is not kept"]
+    written = etree.tostring(tree.getroottree(), xml_declaration=True, encoding="ISO-8859-1")
+    return Runnable(cast(bytes, written), tuple(said))
 
 
 def _readable(source: Path) -> LimbModel:

@@ -320,9 +320,14 @@ def open_model(path: Path, notes: ReadingNotes | None = None) -> Tag:
     return tag
 
 
+def stated_units(root: Tag) -> str:
+    """The unit system that a file states; "" if it states none."""
+    return (root.element.findtext("Module/units") or "").strip()
+
+
 def units_of(root: Tag) -> str:
     """The unit system that a file states; `UNITS` if it states none."""
-    return (root.element.findtext("Module/units") or "").strip() or UNITS
+    return stated_units(root) or UNITS
 
 
 def is_native(root: Tag) -> bool:

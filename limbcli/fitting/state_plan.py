@@ -95,7 +95,7 @@ def plan_of(
     for way, stretches in given.items():
         known = [each for each in stretches if each is not None]
         zero = known_unloaded.get(way)
-        if zero is None and len(set(known)) == 1:
+        if zero is None and len(known) == len(stretches) and len(set(known)) == 1:
             zero = known[0]
             taken.append(way)
         if zero is not None:

@@ -63,9 +63,7 @@ def write_states(fit: FittedStates, model: LimbModel, writer: StageWriter) -> No
     _write_models(fit, model, writer)
     notes = [each.words() for each in lowest]
     for way, stretch in writer.data["taken_as_unloaded"].items():
-        notes.append(
-            f"{way} the limb all states that give it have a stretch of {stretch:g}: taken as unloaded there"
-        )
+        notes.append(f"{way} the limb all states have a stretch of {stretch:g}: taken as unloaded there")
     writer.warnings += writer.data["undetermined"]
     report_fit(writer, law, parameters, found, notes)
 

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import CaseError
+from limbcli.errors.problems import Problem
 from limbcli.model import Array
 
 # Exceptions that image libraries raise on corrupt files.
@@ -127,6 +128,17 @@ def require_placed(affine: Array, path: Path | str, *, noun: str) -> Array:
         what = f"the {noun}'s three directions are parallel, or lie in one plane: its affine is singular"
         raise CaseError(what, where=str(path), fix=fix)
     return affine
+
+
+def unplaced(volume: Volume, path: Path | str, *, noun: str = "image") -> list[Problem]:
+    """A warning if the position is what a program writes that knows none; noun: as of `require_placed`."""
+    affine = volume.affine * np.sign(np.diagonal(volume.affine))
+    if not np.array_equal(affine, np.eye(4)):
+        return []
+    what = f"the {noun} has voxels of exactly 1 x 1 x 1 mm along the patient's axes, the first at (0, 0, 0): "
+    what += "so writes a program that has lost the geometry"
+    fix = "compare the limb's size with the scan's; export it with its geometry, from 3D Slicer or the DICOM"
+    return [Problem(what, str(path), f"{fix} series", severity="warning")]
 
 
 def require_unit_directions(directions: Array, *, where: str, what: str, fix: str) -> None:

@@ -44,6 +44,7 @@ OPTIONAL = (
     "cycle", *(f"{name}_mm" for name in LAYERS), *_MODULI,
 )  # fmt: skip
 TEXTS = ("phase",)
+_PHASES = {"": "load", "loading": "load", "unloading": "unload"}  # as in other spellings
 _MANY = 10**6  # upper limit of the number of cycles
 
 
@@ -117,7 +118,7 @@ def _levels(table: RawTable, path: Path) -> Levels:
         swe_sd_m_per_s=table.numbers.get("swe_sd_m_per_s", sd),
         # no pixel and no speed: not measured
         swe_pixels=np.where((pixels == 0) & np.isnan(speed), np.nan, pixels),
-        phase=tuple(each or "load" for each in phase),
+        phase=tuple(_PHASES.get(each.lower(), each.lower()) for each in phase),
         hold=table.numbers.get("hold_s", missing),
         probe_travel=table.numbers.get("probe_travel_mm", missing),
         skin_bone=table.numbers.get("skin_bone_mm", missing),

@@ -192,7 +192,8 @@ def check_order(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
                 fix = "check the reading, or measure this level again"
                 problems.append(problem(what, path, fix, line=lines[k], warning=True))
             elif depth[k] < depth[k - 1]:
-                fix = "check the depth reading of these levels; they are simulated in order of depth"
+                fix = "check the depth reading of these levels"
+                fix += "; they are simulated in order of depth" if sign > 0 else ""
                 verb = "shrinks" if sign > 0 else "grows"
                 with_force = "while the force does not" if force[k] >= force[k - 1] else "with the force"
                 what = f"the depth {verb} by {depth[k - 1] - depth[k]:.2g} mm {with_force} "
@@ -293,19 +294,23 @@ def check_tare(levels: Levels, table: RawTable, path: Path) -> list[Problem]:
 
 
 def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> list[Problem]:
-    """Wrong units show in the stiffness.
+    """Wrong units show in the stiffness of a loading.
 
     Depths in cm make it ten times too high, forces in kgf ten times too low.
     """
     problems = []
-    span_depth = float(np.ptp(levels.depth[levels.loading]))
-    span_force = float(np.ptp(levels.force[levels.loading]))
-    if span_force <= 0 or span_depth <= 0:
-        fix = "check both columns; the depth is counted from level 0"
-        return [problem("force or depth does not increase over the levels", path, fix)]
-    stiffness = span_force / span_depth
-    expected = _expected_stiffness(levels) if speed_is_possible else np.nan
-    problems += _check_stiffness(stiffness, expected, path)
+    for cycle in levels.cycles:
+        if len(levels.cycles) > 1 and levels.n_loading(cycle) < FEWEST_LOADING:
+            continue
+        named = f" in cycle {cycle}" if len(levels.cycles) > 1 else ""
+        rows = np.flatnonzero((levels.cycle == cycle) & levels.loading)
+        span_depth, span_force = (float(np.ptp(each[rows])) for each in (levels.depth, levels.force))
+        if span_force <= 0 or span_depth <= 0:
+            fix = "check both columns; the depth is counted from level 0"
+            what = f"force or depth does not increase over the levels{named}"
+            return [problem(what, path, fix)]
+        expected = _expected_stiffness(levels, int(rows[0])) if speed_is_possible else np.nan
+        problems += _check_stiffness(span_force / span_depth, expected, path, named)
     if not levels.begins_at_zero:
         fix = (
             "level 0 is first touch: about 0 N and 0 mm; c is taken from the first row's speed without "
@@ -318,9 +323,12 @@ def check_plausible(levels: Levels, path: Path, *, speed_is_possible: bool) -> l
     return problems
 
 
-def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Problem]:
-    """Compare with the stiffness of limbs, and with that from this tissue's wave speed (NaN: unknown)."""
-    text = f"force over depth is {stiffness:.3g} N/mm"
+def _check_stiffness(stiffness: float, expected: float, path: Path, named: str) -> list[Problem]:
+    """Compare with the stiffness of limbs, and with that from this tissue's wave speed (NaN: unknown).
+
+    named : words for the cycle, if there are several
+    """
+    text = f"force over depth is {stiffness:.3g} N/mm{named}"
     stiff_fix = "depth_mm is in mm (is it in cm?), force_n in N (is it in grams?)"
     soft_fix = "force_n is in N (is it in kgf? multiply by 9.80665), depth_mm in mm"
     ratio = stiffness / expected
@@ -338,13 +346,13 @@ def _check_stiffness(stiffness: float, expected: float, path: Path) -> list[Prob
     return []
 
 
-def _expected_stiffness(levels: Levels) -> float:
-    """Stiffness (N/mm) of a flat probe on tissue with the modulus from level 0's wave speed; NaN without it.
+def _expected_stiffness(levels: Levels, row: int) -> float:
+    """Stiffness (N/mm) of a flat probe on tissue with the modulus from this row's wave speed; NaN without it.
 
     F / (mu depth) is 200 to 340 mm for usual linear probes over 15 to 35 mm of tissue (linear elastic, bonded
     to bone).
     """
-    speed = float(levels.swe_mean_m_per_s[0])
+    speed = float(levels.swe_mean_m_per_s[row])
     return mpa_from_pa(1000.0 * speed**2) * _PUNCH_LENGTH
 
 

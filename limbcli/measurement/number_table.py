@@ -55,15 +55,10 @@ def read_table(
 
     Returns the table, or None if it cannot be read at all, and every problem.
     """
-    content, problems = _read_text(path)
+    known = {*required, *optional, *texts}
+    content, separator, problems = _content(path, known)
     if content is None:
         return None, problems
-    first, _, rest = content.partition("\n")
-    named = SEPARATOR_LINE.match(first)
-    content = "\n" + rest if named else content
-    content = _COMMENT.sub("", content)
-    known = {*required, *optional, *texts}
-    separator = named[1] if named else _separator(content, known)
     rows, problems = csv_rows(content, path, separator=separator)
     if rows is None:
         return None, problems
@@ -100,6 +95,17 @@ def read_table(
         ]
     columns = {name: [row[j].strip() for _, row in cells] for j, name in enumerate(header) if name in texts}
     return RawTable(numbers, columns, [line for line, _ in cells]), problems + found
+
+
+def header_of(path: Path, known: Set[str]) -> list[str]:
+    """The names in the header line of a table; none if it cannot be read, which `read_table` reports.
+
+    known : names that may be there; they show the mark between the columns
+    """
+    content, separator, _ = _content(path, known)
+    line = next((each for each in (content or "").splitlines() if each.strip()), "")
+    rows, _ = csv_rows(line, path, separator=separator)
+    return [cell.strip() for cell in rows[0]] if rows else []
 
 
 def problem(what: str, path: Path, fix: str, *, line: int | None = None, warning: bool = False) -> Problem:
@@ -176,6 +182,17 @@ def _read_text(path: Path) -> tuple[str | None, list[Problem]]:
     if "\0" in content:
         return None, [problem("the file is binary, not CSV", path, "export it as comma-separated text")]
     return content, []
+
+
+def _content(path: Path, known: Set[str]) -> tuple[str | None, str, list[Problem]]:
+    """The text of a table without its comments, and the mark between its columns."""
+    content, problems = _read_text(path)
+    if content is None:
+        return None, ",", problems
+    first, _, rest = content.partition("\n")
+    named = SEPARATOR_LINE.match(first)
+    content = _COMMENT.sub("", "\n" + rest if named else content)
+    return content, named[1] if named else _separator(content, known), problems
 
 
 def _separator(content: str, known: Set[str]) -> str:

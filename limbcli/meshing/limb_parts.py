@@ -23,6 +23,9 @@ from limbcli.model import Array
 from limbcli.model.patient_frame import toward_head
 
 PATCHES = ("fibular_head", "patellar_tendon", "tibial_end", "tibial_crest", "popliteal", "distal_end")
+LANDMARKS = (
+    "tibial_tuberosity", "tibial_end", "patella_lower_pole", "fibular_head", "fibular_end", "distal_tip",
+)  # fmt: skip
 AT_CUT_MM = 3.0  # a bone that comes this close to a cut is taken as cut there
 TUBEROSITY_MM = 30.0  # height of the tibial tuberosity below the top of the tibia
 TENDON_HALF_WIDTH_MM, CREST_HALF_WIDTH_MM = 15.0, 10.0

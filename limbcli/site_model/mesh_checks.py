@@ -20,6 +20,9 @@ OVER_TISSUE = 0.95  # least share of the probe's face that should be over skin
 SKIN_BONE_TOLERANCE = 0.10  # tolerance of the skin-bone distance, as a fraction of the measured one
 _CLOSE_TO_CUT = 0.9  # least margin of tissue around the probe, as a fraction of the requested one
 _ACROSS_DEG = 15.0  # largest angle of a limb to the plane across the body at which its ends are in doubt
+# Depth, as a fraction of the skin-bone distance, beyond which it is doubted: 752 indentations of arms and
+# legs (Neumann et al. 2018) have at most 0.50.
+_DEEP = 0.6
 _LAYERS_KEPT = 0.9  # least thickness of layers in the model, as a fraction of the requested one
 
 
@@ -43,15 +46,15 @@ def skin_bone_of_levels(site: Site) -> float | None:
     return value if np.isfinite(value) and value > 0 else None
 
 
-def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> None:
-    """Check that the probe's deepest level (mm) does not reach the bone of the model.
+def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> list[str]:
+    """A warning if the probe's deepest level (mm) leaves little of the model's tissue above the bone.
 
     modelled : skin-bone distance in the model, mm; None: no bone
 
     Raises
     ------
     MeasurementError
-        If it does.
+        If it reaches the bone.
     """
     if modelled is not None and deepest >= modelled:
         raise MeasurementError(
@@ -62,6 +65,12 @@ def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> N
             deepest_mm=deepest,
             skin_bone_mm=modelled,
         )
+    if modelled is None or deepest <= _DEEP * modelled:
+        return []
+    return [
+        f"the depth reaches {100 * deepest / modelled:.0f} % of the {modelled:.3g} mm from skin to bone: "
+        "limbs are hardly pressed so far, and simulations take long or end early; check depth_mm and the bone"
+    ]
 
 
 def bone_warnings(modelled: float | None, measured: float | None) -> list[str]:

@@ -280,5 +280,6 @@ def locking_warning(laws: Mapping[str, LayerLaw], element: str) -> list[str]:
         return []
     return [
         f"{' and '.join(stiff)}: above f_kappa {_LOCKS:g} a layer of tet4 is stiffer than its law; "
-        "mesh with --element tet10, or give the layer a smaller one (--layer NAME:f_kappa=5)"
+        "mesh with --element tet10, or give the layer a smaller one, such as 5 ([site.layers], or --layer of "
+        "`build-feb`)"
     ]

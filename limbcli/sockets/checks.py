@@ -36,11 +36,11 @@ class Clearance:
 
     @property
     def deepest_mm(self) -> float:
-        return float(max(-self.distances.min(initial=0.0), 0.0))
+        return float(max(0.0, -self.distances.min(initial=0.0)))
 
     @property
     def widest_mm(self) -> float:
-        return float(max(self.distances.max(initial=0.0), 0.0))
+        return float(self.distances.max(initial=0.0))
 
 
 def check_size(socket: Triangles, skin: Triangles, *, where: str = "socket") -> None:

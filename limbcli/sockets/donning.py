@@ -53,6 +53,7 @@ _CELL_FIELDS = ("E1", "sed")
 _SKIN = "skin"
 # Pressure under a liner that slides from which skin counts as loaded: ten times that of its tightness.
 LEAST_MPA = 1e-4
+_LEAST_N = 1e-3  # of a contact: less is rounding, as of a socket of the skin's own shape
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,10 +153,9 @@ class StepBalance:
 
     @property
     def share(self) -> float:
-        """The larger of both, as a share of the contact's force and of that times the arm; 0 if none."""
-        if not self.contact_n:
-            return 0.0
-        return max(self.left_n, self.left_n_mm / self.arm_mm) / self.contact_n
+        """The larger of both, as a share of the contact's force (of `_LEAST_N` if that is less) and of that
+        times the arm."""
+        return max(self.left_n, self.left_n_mm / self.arm_mm) / max(self.contact_n, _LEAST_N)
 
 
 @dataclass(frozen=True, eq=False)

@@ -41,6 +41,9 @@ def n_processes(jobs: int | None, scheduler: str | None, n_cases: int) -> int:
     """Number of local processes: as requested, else by the number of cases; one if Dask is not installed."""
     from limbcli.stages.batching.cluster import is_installed, jobs_for
 
+    if jobs is not None and scheduler is not None:
+        what = f"--jobs {jobs} and --scheduler are given: the scheduler's workers are as many as it has"
+        raise CaseError(what, where="--jobs, --scheduler", fix="leave out one of the two")
     if jobs is not None or scheduler is not None:
         return jobs or 1
     return jobs_for(n_cases) if n_cases > 1 and is_installed() else 1

@@ -10,15 +10,17 @@ import os
 import shlex
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 from limbcli.case import CASE_FILE, Site, read_case
 from limbcli.case.label_sources import read_label_sources
 from limbcli.case.reading import CaseReading
+from limbcli.case.socket import socket_of
 from limbcli.case.toml_file import read_toml
 from limbcli.errors import CaseError, LimbError, MeasurementError
-from limbcli.errors.problems import Problem, errors_of
+from limbcli.errors.problems import Problem, errors_of, suggestion
 from limbcli.measurement.elastography import check_maps, check_mean, check_width, map_file
 from limbcli.measurement.indentation import check_levels, check_trace
 from limbcli.measurement.levels import FEWEST_LOADING
@@ -77,6 +79,7 @@ def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
         reported = {each.what for each in problems}
         problems += [each for each in instrument_problems(case) if each.what not in reported]
         problems += state_problems(case)
+        problems += [each for site in case.sites if site.states for each in _caught(partial(_plan, site))]
         found, on_geometry = geometry_findings(case, problems)
         problems += found
         more = [each for each in on_geometry if each not in on_labels]
@@ -105,6 +108,9 @@ def _readers(raw: Mapping[str, Any], folder: Path) -> list[tuple[str, Path, Read
         bones = imaging.get("bones")
         surfaces = [imaging.get("skin"), *(bones if isinstance(bones, list) else [])]
         listed += [(each, _read_surface) for each in surfaces]
+    socket = raw.get("socket")
+    if isinstance(socket, dict):
+        listed += [(socket.get("surface"), _read_surface)]
     sites = raw.get("site")
     for site in sites if isinstance(sites, list) else []:
         if isinstance(site, dict):
@@ -133,8 +139,10 @@ def _read_maps(folder: Path) -> list[Problem]:
 
 def _read_mri(path: Path) -> list[Problem]:
     from limbcli.imaging.image_files import read_image
+    from limbcli.imaging.volume import unplaced
 
-    return _caught(lambda: read_image(path))
+    found: list[Problem] = []
+    return _caught(lambda: found.extend(unplaced(read_image(path).volume, path))) + found
 
 
 def _read_labels(raw: Mapping[str, Any], folder: Path) -> tuple[list[str], list[Problem], list[str]]:
@@ -164,6 +172,12 @@ def _read_surface(path: Path) -> list[Problem]:
     return _caught(lambda: read_surface(path))
 
 
+def _plan(site: Site) -> object:
+    from limbcli.fitting.state_plan import stretch_plan
+
+    return stretch_plan(site)
+
+
 def _caught(read: Callable[[], object]) -> list[Problem]:
     try:
         read()
@@ -188,7 +202,7 @@ def _contradictions(case: Any, known: Sequence[Problem]) -> list[Problem]:
         )
     shape = ProbeShape(probe.length, probe.width, probe.edge_radius)
     problems += _caught(lambda: check_shape(shape, where=str(case.file)))
-    problems += _shared_files(case)
+    problems += _shared_files(case) + _socket_names(case)
     for site in case.sites:
         problems += _unmeasured(site, case.folder)
         problems += _too_few(site) + _other_distance(site, str(case.file))
@@ -203,6 +217,20 @@ def _contradictions(case: Any, known: Sequence[Problem]) -> list[Problem]:
                 )
             )
     return problems
+
+
+def _socket_names(case: Any) -> list[Problem]:
+    """Patches and landmarks of [socket] that no limb has; those that this limb lacks show in `limb`."""
+    from limbcli.meshing.limb_parts import LANDMARKS, PATCHES
+
+    socket = socket_of(case)
+    if socket is None:
+        return []
+    named = [("patch", socket.rectifications, PATCHES), ("landmark", socket.landmarks, LANDMARKS)]
+    return [
+        Problem(f"[socket] names a {what} {name!r}", str(case.file), suggestion(name, known))
+        for what, given, known in named for name in given if name not in known
+    ]  # fmt: skip
 
 
 def _shared_files(case: Any) -> list[Problem]:

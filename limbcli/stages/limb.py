@@ -202,6 +202,9 @@ def _field(
 ) -> CaseField | None:  # fmt: skip
     """The stiffness field through the case's sites; None if c is given by hand or no site says anything."""
     field = None
+    if options.cohort is None and options.cohort_location is not None:
+        what = "a cohort's location is given without a cohort"
+        raise CaseError(what, where="--cohort-location", fix="add --cohort FOLDER, or leave it out")
     if options.c_kpa is None:
         limb = limb_coordinates(skin, list(bones.values()), frame.axis, where=case.subject)
         found = case_field(case, chain, limb, writer, cohort=options.cohort, location=options.cohort_location)

@@ -17,10 +17,16 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.errors.problems import raise_errors
+from limbcli.errors.problems import Problem, raise_errors
 from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
-from limbcli.measurement.indentation import Levels, check_levels, level_warnings, read_levels
+from limbcli.measurement.indentation import (
+    Levels,
+    check_levels,
+    check_values,
+    level_warnings,
+    read_levels,
+)
 from limbcli.measurement.levels import LAYERS
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
@@ -81,7 +87,9 @@ def _measure_site(case: Case, name: str, out: Path, writer: StageWriter, progres
     elif known is not None:
         columns |= _of_known(known, instruments)
     if "b_mode" in instruments:
-        columns |= _depth(instruments["b_mode"], writer, progress)
+        depths = _depth(instruments["b_mode"], writer, progress)
+        raise_errors(_impossible(depths, instruments["b_mode"]["path"]), MeasurementError)
+        columns |= depths
     if "swe_images" in instruments:
         tissue = tissue_between(case, site, out, columns.get("skin_bone_mm"), writer)
         columns |= measured_speeds(instruments["swe_images"], tissue, writer, progress)
@@ -146,6 +154,12 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
         "depth_mm": [lines[0].distance - each.distance for each in lines],
         **layer_columns(borders, lines),
     }
+
+
+def _impossible(columns: Mapping[str, Sequence[Any]], folder: Path) -> list[Problem]:
+    """Impossible values of what was followed on B-mode images."""
+    fix = "what was followed is not the bone: state bone_mm as a list, its depth in every image"
+    return [replace(each, fix=fix) for each in check_values(columns, folder)]
 
 
 def _check_lengths(columns: Mapping[str, Sequence[Any]], site: Site) -> None:

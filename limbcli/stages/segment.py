@@ -28,7 +28,7 @@ from limbcli.imaging.quality import assess
 from limbcli.imaging.segmentation import Segmentation, SegmentationHints, segment_limb
 from limbcli.imaging.segmentation_picture import contact_sheet
 from limbcli.imaging.surface import BONE_EDGE, SKIN_EDGE, SMOOTH, surface_of
-from limbcli.imaging.volume import Volume
+from limbcli.imaging.volume import Volume, unplaced
 from limbcli.meshing.surfaces import Triangles
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
@@ -174,6 +174,7 @@ def _from_series(
     found = segment_limb(series.volume, modality=modality, hints=hints, progress=progress)
     writer.data["source"] = "mri"
     writer.data["image"] = dict(series.facts)
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in unplaced(series.volume, path))
     writer.summary.extend(series.notes)  # what the reader repaired; it changes no result
     writer.warnings.extend(found.notes)
     _write(case, series.volume, found, options, writer, progress)

@@ -33,7 +33,11 @@ from limbcli.results import StageResult, provenance, read_result, stage_folder
 from limbcli.site_model.indentation_model import with_penalty
 from limbcli.site_model.site_layers import MRI, held_layers
 from limbcli.stages.expect import keep_expected
-from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, in_order
+from limbcli.stages.simulated_subjects.hidden_effects import (
+    check_beside_layers,
+    check_beside_numbers,
+    in_order,
+)
 from limbcli.stages.simulated_subjects.indent import Press, indent
 from limbcli.stages.simulated_subjects.known_stretches import check_stretches, true_states
 from limbcli.stages.simulated_subjects.synth_case import (
@@ -125,6 +129,8 @@ def measure_sites(
     Raises CaseError if the fitted mesh is to be used, but another element type or other sizes are given.
     """
     _refuse_unheard(options)
+    if case.imaging.shape is not None:
+        check_beside_numbers(options.hidden)
     numbers = {each.name: k for k, each in enumerate(case.sites)}
     with scratch_folder() as scratch:
         _segmented(case, out, progress)

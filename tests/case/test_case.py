@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import pytest
@@ -98,6 +99,15 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
         ("[probe]", "[prob]", "unknown key 'prob'"),
         ("[[site]]", "[site]", "no site"),
         ("format = 1", "format = 1\nformat = 1", "not valid TOML"),
+        (
+            "length_mm = 53.0",
+            "length_mm = 53,0",
+            "correct that line, `length_mm = 53,0`: write a decimal point",
+        ),
+        ('id = "S1"', "id = \u201cS1\u201d", "straight quotes"),
+        ('mri = "mri"', 'mri = "C:\\scans\\mri"', "write the path with /"),
+        ('id = "S1"', "id = S1", "write text between quotes"),
+        ('id = "S1"', 'id "S1"', 'correct that line, `id "S1"`'),
     ],
 )
 def test_wrong_case_is_refused_with_a_fix(folder: Path, old: str, new: str, expected: str):
@@ -174,6 +184,8 @@ def test_missing_folder_and_missing_file_differ(tmp_path: Path):
         Case.open(tmp_path / "nowhere")
     with pytest.raises(CaseError, match=r"contains no case\.toml"):
         Case.open(tmp_path)
+    with pytest.raises(CaseError, match=f"fix:   give its folder, {re.escape(str(tmp_path))}$"):
+        Case.open(write(tmp_path, GOOD) / "case.toml")
 
 
 def test_unknown_site_names_the_known_ones(folder: Path):

@@ -54,6 +54,32 @@ def test_a_good_table_has_no_problem_and_keeps_its_numbers(tmp_path):
     assert table.depth == pytest.approx(strain * table.whole)
 
 
+def test_a_table_of_a_spreadsheet_is_read_as_one_with_commas(tmp_path):
+    """Semicolons, decimal commas, a column that is not used, other names, and a row without a reading."""
+    rows = changed(good(), skin_mm="", fat_mm="", muscle_mm="")
+    lines = written(tmp_path / "t.csv", rows).read_text().splitlines()
+    lines = [f"{each},{note}" for each, note in zip(lines, ["notes", *"abcdefghijkl"], strict=True)]
+    lines[0] = lines[0].replace("subject", "person").replace("location", "site")
+    path = tmp_path / "spreadsheet.csv"
+    path.write_text("\n".join(each.replace(",", ";").replace(".", ",") for each in lines))
+    table, problems = checked_cohort(path)
+    assert [each.what for each in problems] == [
+        "column 'notes' is not used", "1 of 12 rows are missing a reading and are excluded (lines 5)"
+    ]  # fmt: skip
+    assert table is not None
+    kept = [float(each["max_force_n"]) for k, each in enumerate(rows) if k != 3]
+    assert table.force == pytest.approx(kept)
+
+
+@pytest.mark.parametrize("mark", [",", ";", "\t"])
+def test_a_table_without_people_says_so(tmp_path, mark):
+    text = written(tmp_path / "t.csv", good()).read_text()
+    (tmp_path / "t.csv").write_text(text.replace("subject", "who").replace(",", mark))
+    table, problems = checked_cohort(tmp_path / "t.csv")
+    assert table is None
+    assert "column 'subject' is missing" in [each.what for each in problems]
+
+
 def test_layers_that_do_not_add_up(tmp_path):
     words = reported(tmp_path, changed(good(), thickness_mm=55.0))
     assert "the layers add up to 42.50 mm, thickness_mm is 55.00" in words

@@ -105,12 +105,17 @@ def test_the_reach_of_the_curves_is_the_familys():
     assert REACH[1] == pytest.approx(high, abs=0.05)
 
 
-def test_a_face_known_from_a_force_in_kilograms_is_told(tmp_path: Path, rows: list[Row]):
+def test_a_face_known_from_a_force_in_kilograms_is_refused(tmp_path: Path, rows: list[Row]):
+    """With its face the same table is one of a small probe."""
     for size, is_told in ((9.80665, True), (1.0, False)):
         several = [{**times("max_force_n", 1 / size)(with_pressure(each)), "face_mm2": ""} for each in rows]
         table, problems = checked_cohort(written(tmp_path / "t.csv", several))
-        assert table is not None
-        assert any("force over pressure makes the probe's face" in each.what for each in problems) == is_told
+        assert (table is None) == is_told
+        found = [each for each in problems if "force over pressure makes the probe's face" in each.what]
+        assert [each.severity for each in found] == ["error"] * is_told
+        faces = [{**each, "face_mm2": f"{float(each['max_force_n']) / float(each['max_pressure_mpa'])}"}
+                 for each in several]  # fmt: skip
+        assert checked_cohort(written(tmp_path / "t.csv", faces))[0] is not None
 
 
 @pytest.mark.parametrize(("line", "parabola"), [(0.97, 0.90), (97.0, 99.0)])

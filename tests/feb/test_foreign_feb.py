@@ -305,6 +305,15 @@ def test_other_units_are_scaled_and_said(
         read_outline(path)
 
 
+def test_a_model_without_units_is_said_to_be_taken_for_ours(punch: Path, tmp_path: Path) -> None:
+    path = tmp_path / "bare.feb"
+    path.write_text(punch.read_text().replace("<units>mm-N-s</units>", ""))
+    run = runnable(path)
+    assert run.said == ("the model states no unit system: it is taken to be in mm-N-s",)
+    assert run.text == path.read_bytes()
+    assert runnable(punch).said == ()
+
+
 def test_a_penalty_without_auto_penalty_is_scaled(punch: Path, tmp_path: Path) -> None:
     """20 MPa/mm are 2e10 Pa/m."""
     path = tmp_path / "si.feb"
@@ -388,7 +397,7 @@ def test_older_formats_are_converted(punch: Path, tmp_path: Path, convert) -> No
     assert found.steps[0].control["qn_method"] == "BFGS"
     assert found.steps[0].control["max_ups"] == 10
     run = runnable(path)
-    assert "converted from FEBio's format" in run.said[0]
+    assert "converted from FEBio's format" in run.said[-1]
     (tmp_path / "run.feb").write_bytes(run.text)
     assert_same(read_feb(tmp_path / "run.feb"), expected)
 

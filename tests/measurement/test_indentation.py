@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -110,6 +111,31 @@ def test_unloading_levels_are_told_apart(tmp_path: Path):
     rows = ["0,0,load", "2,1,load", "4,2,load", "2,1.4,unload", "0,0.2,unload"]
     levels = read_levels(write(tmp_path, "force_n,depth_mm,phase", rows))
     np.testing.assert_array_equal(levels.loading, [True, True, True, False, False])
+
+
+def test_a_phase_may_be_written_in_other_ways(tmp_path: Path):
+    rows = ["0,0,LOAD", "2,2.1,Loading", "4,3.9,loading", "2,2.9,Unloading", "0,1,unload"]
+    levels = read_levels(write(tmp_path, "force_n,depth_mm,phase", rows))
+    assert levels.phase == ("load", "load", "load", "unload", "unload")
+
+
+@pytest.mark.parametrize(
+    ("force", "depth", "expected"),
+    [
+        (1.0, 0.1, ["15.4 N/mm in cycle 2; no limb .22 times what its shear-wave speed implies. is that st"]),
+        (0.1, 1.0, ["0.154 N/mm in cycle 2, which is unusual .0.22 times"]),
+        (1.0, 1.0, []),
+    ],
+)
+def test_one_cycle_in_another_unit_is_told(tmp_path: Path, force: float, depth: float, expected: list[str]):
+    """The fitted cycle is one of them: 6 N at 3.9 mm, with the speed of 1.65 m/s at rest."""
+    first = [(0.0, 0.0), (2.0, 1.5), (6.0, 3.9)]
+    rows = [f"1,{f},{d},1.65" for f, d in first] + [f"2,{f * force},{d * depth},1.65" for f, d in first]
+    _, problems = check_levels(write(tmp_path, "cycle,force_n,depth_mm,swe_mean_m_per_s", rows))
+    found = [each.what for each in problems if "force over depth" in each.what]
+    assert len(found) == len(expected)
+    for what, pattern in zip(found, expected, strict=True):
+        assert re.search(pattern, what)
 
 
 def test_a_level_that_stands_twice_is_refused_and_one_that_crept_is_not(tmp_path: Path):

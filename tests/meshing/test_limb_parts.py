@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from limbcli.meshing.facets import divided
-from limbcli.meshing.limb_parts import PATCHES, limb_frame, limb_parts
+from limbcli.meshing.limb_parts import LANDMARKS, PATCHES, limb_frame, limb_parts
 from limbcli.meshing.mending import mend
 from limbcli.meshing.surfaces import Triangles
 from tests.meshing.stump import stump
@@ -59,6 +59,7 @@ def test_the_head_of_the_fibula_is_on_the_other_side_of_a_right_limb():
 
 def test_landmarks_are_on_their_bones(whole):
     marks = whole[0].landmarks
+    assert set(marks) == set(LANDMARKS)
     assert marks["tibial_end"][2] == pytest.approx(25, abs=1)
     assert marks["fibular_head"][2] == pytest.approx(98, abs=1)
     assert marks["patella_lower_pole"][2] == pytest.approx(112, abs=1)

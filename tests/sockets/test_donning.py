@@ -88,6 +88,17 @@ def test_a_limb_is_donned_and_loaded_in_balance() -> None:
     assert high.strain.max() > 0.0
 
 
+def test_a_socket_of_the_skins_own_shape_is_donned_without_a_force_and_loaded() -> None:
+    """The 16 corners of the sleeve are those of the limb: nothing overlaps, all touches."""
+    options = replace(OPTIONS, loads_n=(0.5,), donning_steps=2)
+    result = don_and_load(limb(), face(0.0, n=16), options, threads=1)
+    donned, loaded = result.states
+    assert 0.0 < result.balance[1].contact_n < 1e-6
+    assert np.linalg.norm(donned.socket_force_n) < 1e-6
+    assert loaded.socket_force_n[2] == pytest.approx(0.5, rel=1e-4)
+    assert result.worst.share < 1e-4, result.balance
+
+
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: float) -> None:
     quick = replace(OPTIONS, loads_n=(0.5,), friction=friction)

@@ -182,6 +182,19 @@ def test_layers_that_do_not_add_up_are_refused(tmp_path, more, first):
     assert any("do not add up" in each.what for each in check(folder).problems)
 
 
+@pytest.mark.parametrize(("seen", "is_told"), [(13.5, False), (13.3, True), (12.0, True)])
+def test_tissue_that_a_probe_already_pressed_at_level_0_is_a_warning(tmp_path, seen, is_told):
+    """The layers add up to 15 mm without the probe; a distance 20 % less, no more, is told."""
+    case = numbers(tmp_path / "case", more=",skin_bone_mm", first=f",{seen}")
+    limb = assumed_limb(case)
+    assert limb.sites["p1"].measured == 15.0
+    found = [each for each in limb.warnings if "add up to more than the thickness" in each]
+    assert len(found) == is_told
+    assert all(f"p1 is {seen:g} mm" in each for each in found)
+    with pytest.raises(CaseError, match="do not add up"):
+        assumed_limb(numbers(tmp_path / "other", more=",skin_bone_mm", first=",11.9"))
+
+
 def test_what_was_seen_beside_the_front_is_compared_with_the_round_limb_there(tmp_path):
     """It was compared with the layers in front, and so refused where it was right."""
     middle = RADIUS - 15 - 9  # of the bone, before the limb's own

@@ -18,6 +18,7 @@ from limbcli.results import StageWriter, open_stage, read_result
 from limbcli.stages import batch as module
 from limbcli.stages import diagnose, fit_elements, fit_joint
 from limbcli.stages.batch import BatchOptions, batch
+from limbcli.stages.batch_cases import n_processes
 from limbcli.stages.build_feb import TissueOptions
 from limbcli.stages.fit import FitOptions
 from limbcli.stages.limb import LimbOptions
@@ -303,6 +304,12 @@ def test_failure_is_tried_again_next_time(tmp_path: Path, calls: list[str]):
     assert calls == [*[f"{s} p2" for s in STAGES], "report"]
     assert not outcome.failures
     assert not (out / "mesh" / "p2" / "error.json").exists()
+
+
+def test_a_number_of_processes_beside_a_scheduler_is_refused():
+    with pytest.raises(CaseError, match="--jobs 2 and --scheduler are given"):
+        n_processes(2, "tcp://10.0.0.5:8786", 3)
+    assert n_processes(None, "tcp://10.0.0.5:8786", 3) == 1
 
 
 def test_case_that_cannot_be_read_gets_a_page_and_a_mistyped_one_an_error(tmp_path: Path):

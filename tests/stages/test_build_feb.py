@@ -245,14 +245,18 @@ def test_depths_that_do_not_grow_are_refused() -> None:
 def test_a_depth_that_the_tissue_does_not_have_is_refused(case: Case, tmp_path: Path) -> None:
     path = tmp_path / "out" / "mesh" / "p1" / "mesh.json"
     found = json.loads(path.read_text())
-    for thick, is_refused in ((3.3, False), (3.25, True), (None, False)):
+    for thick, is_refused, told in ((5.5, False, []), (5.0, False, ["65 % of the 5 mm"]), (3.25, True, []),
+                                    (None, False, [])):  # fmt: skip
         found["data"] |= {"checks": {"skin_bone_mm": thick}, "measured_skin_bone_mm": None}
         path.write_text(json.dumps(sealed(found)))
         if is_refused:
             with pytest.raises(MeasurementError, match=r"reaches 3.25 mm, .* has 3.25 mm"):
                 build_feb(case, out=tmp_path / "out")
         else:
-            build_feb(case, out=tmp_path / "out")
+            warnings = build_feb(case, out=tmp_path / "out")[0].warnings
+            found_now = [each for each in warnings if "the depth reaches" in each]
+            assert len(found_now) == len(told)
+            assert all(words in each for words, each in zip(told, found_now, strict=True))
 
 
 def test_c_without_a_level_0_is_named_for_what_it_is(case: Case, tmp_path: Path) -> None:

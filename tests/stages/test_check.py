@@ -245,3 +245,19 @@ def test_the_command_counts_what_is_to_be_mended(tmp_path: Path, capsys):
         with pytest.raises(SystemExit):
             main(["check", str(tmp_path)])
         assert capsys.readouterr().out.splitlines()[-1] == count
+
+
+def test_what_no_limb_has_is_told_of_a_socket(folder: Path):
+    """A patch and a landmark with a slip of the pen, and a file that is no surface."""
+    file = folder / "case.toml"
+    amounts = "rectifications_mm = { patella_tendon = 2.0, popliteal = 1.0 }"
+    file.write_text(f"{file.read_text()}\n[socket]\nloads_n = [100.0]\n{amounts}\n")
+    assert "did you mean 'patellar_tendon'?" in [each.fix for each in check(folder).problems]
+    names = "tibia_end = [0, 0, 0]\nfibular_head = [9, 0, 0]\ndistal_tip = [0, 9, 0]"
+    table = f'[socket]\nloads_n = [100.0]\nsurface = "socket.stl"\n[socket.landmarks]\n{names}\n'
+    file.write_text(f"{file.read_text().partition('[socket]')[0]}{table}")
+    (folder / "socket.stl").write_text("")
+    found = check(folder)
+    assert "did you mean 'tibial_end'?" in [each.fix for each in found.problems]
+    assert "socket.stl" in found.looked_at
+    assert [each.where for each in found.problems if "socket.stl" in each.where]

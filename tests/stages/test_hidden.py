@@ -16,7 +16,12 @@ from limbcli.model import LimbModel, Material
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 from limbcli.phantom.simulated_readings import Readings
-from limbcli.stages.simulated_subjects.hidden_effects import check_beside_layers, hide, in_order
+from limbcli.stages.simulated_subjects.hidden_effects import (
+    check_beside_layers,
+    check_beside_numbers,
+    hide,
+    in_order,
+)
 from limbcli.stages.simulated_subjects.synth_options import SynthOptions
 from limbcli.stages.simulated_subjects.synth_truth import SyntheticSite, summary_of, truth_table
 from limbcli.stages.synth import read_off
@@ -197,16 +202,23 @@ def test_skin_and_fat_are_not_hidden_in_tissue_below_layers_of_its_mesh():
         check_beside_layers(hidden, ("fat",))
 
 
+def test_another_thickness_is_not_hidden_in_a_limb_given_by_it():
+    """`check` refused the case that was made: its layers are not the distance to the bone."""
+    check_beside_numbers([hide("preload")])
+    with pytest.raises(CaseError, match="in a limb given by numbers"):
+        check_beside_numbers([hide("preload"), hide("thickness")])
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
         ("skin_layr", "there is no effect"),
         ("force-zero=9", "must be a number from -4 to 4"),
         ("force-zero=much", "must be a number"),
-        ("poroelasticity", "cannot be hidden"),
+        ("poroelasticity", "known here: .*thickness, .*viscoelasticity, .*preload"),
     ],
 )
 def test_what_cannot_be_hidden_is_said(text, message):
-    with pytest.raises(CaseError, match=message) as caught:
+    with pytest.raises(CaseError, match=f"(?s){message}") as caught:
         hide(text)
     assert caught.value.where == "--effect"

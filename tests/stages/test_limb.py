@@ -275,8 +275,18 @@ def test_without_segment_without_stiffness_and_with_a_wrong_option(tmp_path, mad
         limbcli.limb(made[0], out=made[1], c_kpa=9000.0, nodes=5_000)
     with pytest.raises(CaseError, match="there is none: c is given by hand"):
         limbcli.limb(made[0], out=made[1], c_kpa=8.0, cohort=tmp_path, nodes=5_000)
+    with pytest.raises(CaseError, match="location is given without a cohort"):
+        limbcli.limb(made[0], out=made[1], cohort_location="LL_P", nodes=5_000)
     with pytest.raises(CaseError, match="no probe to mesh for"):
         limb(made[0], out=made[1], options=replace(OPTIONS, site_size=3.0))
+
+
+def test_a_limb_without_sites_needs_a_stiffness_by_hand(made):
+    """A fit, which was proposed, is not possible there."""
+    case = replace(made[0], sites=())
+    with pytest.raises(CaseError, match="there is no site") as caught:
+        limb(case, out=made[1], options=LimbOptions(nodes=5_000))
+    assert caught.value.fix == "add a [[site]] and fit it, or give the stiffness by hand: --c-kpa"
 
 
 def test_a_bone_through_the_skin_is_refused(tmp_path):

@@ -320,6 +320,12 @@ def test_bone_read_by_hand_at_every_level_wins(folder: Path, tmp_path: Path):
     (tmp_path / "case" / "case.toml").write_text(short)
     with pytest.raises(MeasurementError, match="states 2 distances, there are 4 images"):
         measure(Case.open(case.folder), out=tmp_path / "b")
+    deeper = toml.replace("[site.b_mode]\n", "[site.b_mode]\nbone_mm = [21.0, 21.0, 21.0, 26.0]\n")
+    (tmp_path / "case" / "case.toml").write_text(deeper)
+    with pytest.raises(MeasurementError, match=r"depth_mm is -5; .*\(level 3\)") as caught:
+        measure(Case.open(case.folder), out=tmp_path / "c")
+    assert "bmode" in caught.value.where
+    assert "bone_mm as a list" in caught.value.fix
 
 
 @pytest.mark.slow

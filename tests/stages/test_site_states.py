@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+import re
 from pathlib import Path
 
 import numpy as np
@@ -86,11 +88,21 @@ def test_told_stretches_share_one_unloaded_stretch_that_is_searched():
 
 
 def test_unknown_stretches_are_searched_one_by_one():
-    plan = plan_of({"along": [1.0, None, None]}, {}, NAMES)
+    plan = plan_of({"along": [1.0, None, None]}, {"along": 1.0}, NAMES)
     assert [each.name for each in plan.parameters] == ["stretch_along_bent", "stretch_along_straight"]
     values = np.array([0.8, 1.2])
     assert [plan.elastic(k, "along", values) for k in range(3)] == pytest.approx([1.0, 0.8, 1.2])
     assert [plan.is_known(k, "along") for k in range(3)] == [True, False, False]
+
+
+def test_the_only_stretch_that_is_given_is_not_taken_for_that_of_unloaded_tissue():
+    """The state of reference has a stretch of 1 by definition, unloaded or not."""
+    plan = plan_of({"along": [1.0, None, None]}, {}, NAMES)
+    assert [each.name for each in plan.parameters] == [
+        "unloaded_stretch_along", "stretch_along_bent", "stretch_along_straight",
+    ]  # fmt: skip
+    assert plan.taken == ()
+    assert plan.elastic(0, "along", np.array([0.95, 0.8, 1.2])) == pytest.approx(1.0 / 0.95)
 
 
 def test_a_known_unloaded_stretch_leaves_nothing_to_search():
@@ -119,6 +131,18 @@ def test_told_and_unknown_stretches_and_both_ways_go_together():
 def test_states_that_tell_nothing_or_too_much_are_errors(given, known, message):
     with pytest.raises(CaseError, match=message):
         plan_of(given, known, NAMES[:2], where="site p1")
+
+
+@pytest.mark.parametrize(
+    ("first", "second", "message"),
+    [("1.0", "1.0", "do not differ in their stretch"), ("0.5", "2.0", "possible values are 0.6 to 1.6")],
+)
+def test_check_tells_what_a_fit_of_the_states_would_refuse(tmp_path: Path, first, second, message):
+    folder, stretches = written(tmp_path / "case"), itertools.chain([first], itertools.repeat(second))
+    text = (folder / "case.toml").read_text()
+    text = re.sub(r"(stretch_around) = \S+", lambda found: f"{found[1]} = {next(stretches)}", text)
+    (folder / "case.toml").write_text(text)
+    assert [each.severity for each in check(folder).problems if message in each.what] == ["error"]
 
 
 def test_a_batch_fits_the_states_after_the_force(tmp_path: Path):

@@ -82,11 +82,14 @@ def limb_stiffness(
         except (CaseError, MeasurementError):
             continue
     if not speeds:
-        raise CaseError(
-            "the limb's stiffness is unknown: no site is fitted, and none has a shear-wave speed at rest",
-            where=case.subject,
-            fix="run `limbcli fit CASE`, or give the stiffness by hand: --c-kpa",
+        what = (
+            "no site is fitted, and none has a shear-wave speed at rest" if case.sites else "there is no site"
         )
+        fix = "run `limbcli fit CASE`" if case.sites else "add a [[site]] and fit it"
+        raise CaseError(
+            f"the limb's stiffness is unknown: {what}", where=case.subject,
+            fix=f"{fix}, or give the stiffness by hand: --c-kpa",
+        )  # fmt: skip
     words = f"mean of 2 mu from SWE at rest of {_listed(speeds)}"
     return LimbStiffness(float(np.mean(list(speeds.values()))), F_KAPPA, M, words, tuple(speeds))
 

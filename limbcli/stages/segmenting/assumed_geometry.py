@@ -9,7 +9,7 @@ share one bone.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -33,6 +33,9 @@ from limbcli.stages.segmenting.surfaces import read_body
 LENGTH = 300.0  # mm, length of a limb given by numbers: longer than any usual model with its margin
 # Tolerance of the layers' sum against the skin-bone distance: mm, and standard deviations (the larger).
 _SUM_OFF, _BEYOND_CHANCE = 1.0, 4.0
+# Share of the layers' sum by which a probe that already presses at level 0 may have shortened it; beyond it
+# the numbers are wrong. Chosen.
+_PRESSED = 0.2
 _ASIDE = 0.5  # mm, difference from the anterior thickness above which a site is not anterior
 _DEPTH_OFF = 1.0  # mm, deviation of a shared bone's depth from a site's measurement that is reported
 BONE = "bone_1"
@@ -90,8 +93,10 @@ def assumed_limb(case: Case) -> AssumedLimb:
     CaseError
         Listing every problem: layers that do not add up, a site without a distance to the bone.
     """
-    raise_errors(assumed_problems(case), CaseError)
-    return _of_numbers(case.imaging.shape, case) if case.imaging.shape is not None else _of_a_scan(case)
+    problems = assumed_problems(case)
+    raise_errors(problems, CaseError)
+    made = _of_numbers(case.imaging.shape, case) if case.imaging.shape is not None else _of_a_scan(case)
+    return replace(made, warnings=(*made.warnings, *(f"{each.what}; {each.fix}" for each in problems)))
 
 
 def assumed_problems(case: Case) -> list[Problem]:
@@ -148,6 +153,10 @@ def _off_the_sum(shape: Shape, site: Site, case: Case) -> list[Problem]:
         fix = "put the site into a separate case, with the layers read there and without position_mm"
         return [Problem(what, str(case.file), fix)]
     parts = f"skin {shape.skin:g} + fat {shape.fat:g} + muscle {shape.muscle:g} = {shape.skin_bone:g} mm"
+    if (1.0 - _PRESSED) * shape.skin_bone <= seen[0] < shape.skin_bone:
+        what = f"the layers add up to more than the thickness: {parts}, {but}"
+        fix = "read both on one image; if the probe already pressed at level 0, the shape is that without it"
+        return [Problem(what, str(case.file), fix, severity="warning")]
     what = f"the layers do not add up to the thickness: {parts}, {but}"
     return [Problem(what, str(case.file), "read layers and bone on one image; muscle_mm extends to the bone")]
 

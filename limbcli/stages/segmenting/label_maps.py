@@ -18,7 +18,7 @@ from limbcli.imaging.labels import segmentation_from
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.segmentation import BONE, FAT, SOFT_TISSUE, Segmentation, SegmentationHints, segment_limb
 from limbcli.imaging.signed_distance import filled_by_slice
-from limbcli.imaging.volume import Volume
+from limbcli.imaging.volume import Volume, unplaced
 from limbcli.progress import SILENT, Progress
 
 # Fraction of the limb in the image that may lie outside a map of muscles, fat and bones for the map to count
@@ -64,7 +64,10 @@ def labelled_limb(case: Case, *, side: Side, progress: Progress = SILENT) -> Lab
         )
         problems.append(Problem(what, where, _FIX, severity="warning"))
     own_grid = False
-    if series is not None:
+    if series is None:
+        problems += unplaced(labels, where, noun="label map")
+    else:
+        problems += unplaced(series.volume, str(case.imaging.mri))
         agreement = compare_frames(labels, series.volume, where=where, up_to_skin=read.up_to_skin)
         own_grid = agreement.own_grid
         problems += agreement.problems

@@ -13,12 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.effects import effect
+from limbcli.effects import EFFECTS, effect
 from limbcli.effects.effect import Effect, Theta
 from limbcli.effects.stiffness_places import layer_share
 from limbcli.effects.tissue import fibre_direction, ground_modulus, scaled, with_part
 from limbcli.errors import CaseError
-from limbcli.errors.problems import suggestion
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array, IntArray, LimbModel, Material, Value
 from limbcli.phantom.protocol import TrueLevels
@@ -58,9 +57,9 @@ def hide(text: str) -> Hidden:
     if size:
         theta = {**theta, first.name: _number(size, found)}
     model, readings = _MODELS.get(name), _READINGS.get(name)
-    is_its_own = found.solves and not found.febio_only and found.kind != "numerical"
-    if model is None and readings is None and not is_its_own:
-        raise _cannot(found)
+    if not _can_hide(found):
+        fix = f"known here: {', '.join(each.name for each in EFFECTS if _can_hide(each))}"
+        raise CaseError(f"{name} cannot be hidden in simulated data", where="--effect", fix=fix)
     in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
     waves = found.waves
     return Hidden(
@@ -103,6 +102,19 @@ def check_beside_layers(hidden: Sequence[Hidden], layers: Sequence[str]) -> None
 _BELOW_SKIN = ("skin-layer", "adipose-layer")
 
 
+def check_beside_numbers(hidden: Sequence[Hidden]) -> None:
+    """Refuse another thickness of a limb that is given by numbers: they are what the probe measures.
+
+    Raises CaseError if it is among them.
+    """
+    if any(each.name == "thickness" for each in hidden):
+        raise CaseError(
+            "thickness cannot be hidden in a limb given by numbers: the distance to the bone is theirs",
+            where="--effect",
+            fix="omit the effect, or hide it in a case with images or surfaces",
+        )
+
+
 def _number(size: str, found: Effect) -> float:
     first = found.parameters[0]
     try:
@@ -117,10 +129,9 @@ def _number(size: str, found: Effect) -> float:
     return value
 
 
-def _cannot(found: Effect) -> CaseError:
-    own = ("adipose-layer", "inclusion", "nonlinearity", "contraction", "friction", "tilt")
-    fix = suggestion(found.name, [*_READINGS, *_MODELS, *own])
-    return CaseError(f"{found.name} cannot be hidden in simulated data", where="--effect", fix=fix)
+def _can_hide(found: Effect) -> bool:
+    is_its_own = found.solves and not found.febio_only and found.kind != "numerical"
+    return found.name in _MODELS or found.name in _READINGS or is_its_own
 
 
 # ---------------------------------------------------------------- in the tissue, otherwise parametrised
