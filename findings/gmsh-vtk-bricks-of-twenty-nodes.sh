@@ -1,11 +1,11 @@
 #!/bin/sh
-# gmsh 4.15.2 and meshio 5.3.5: a cube of 10 mm in eight bricks of twenty nodes, saved by gmsh as VTK and as MSH,
-# and opened by gmsh again.
-# Guess: the bricks come back as they were: gmsh turns the order of nodes between its own and VTK's in writing,
-#        and meshio reads the file rightly.
-# Seen:  gmsh reads VTK's order as its own: nine of twelve mid-side nodes are on other edges, the Jacobian is
-#        negative in every brick, and no word is said. From MSH they come back, and tetrahedra of ten nodes from
-#        VTK too.
+# gmsh 4.15.2 and meshio 5.3.5: a cube of 10 mm in eight bricks of twenty nodes, saved by gmsh as VTK and as
+# MSH, and opened by gmsh again.
+# Guess: the bricks come back as they were: gmsh turns the order of nodes between its own and VTK's in
+#        writing, and meshio reads the file rightly.
+# Seen:  gmsh reads VTK's order as its own: nine of twelve mid-side nodes are on other edges, the Jacobian
+#        is negative in every brick, and no word is said. From MSH they come back, and tetrahedra of ten
+#        nodes from VTK too.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)
@@ -20,7 +20,7 @@ import gmsh
 import meshio
 import numpy as np
 
-EDGES = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]  # VTK's
+OF_VTK = [(0, 1), (1, 2), (2, 3), (3, 0), (4, 5), (5, 6), (6, 7), (7, 4), (0, 4), (1, 5), (2, 6), (3, 7)]
 OF_GMSH = [(0, 1), (0, 3), (0, 4), (1, 2), (1, 5), (2, 3), (2, 6), (3, 7), (4, 5), (4, 7), (5, 6), (6, 7)]
 folder = Path(sys.argv[1])
 gmsh.initialize()
@@ -59,7 +59,7 @@ for ending in ("vtk", "msh"):
     gmsh.write(str(folder / f"a.{ending}"))
 
 mesh = meshio.read(folder / "a.vtk")
-seen = {"meshio vtk": off(mesh.points[mesh.cells_dict["hexahedron20"]], [list(edge) for edge in EDGES])}
+seen = {"meshio vtk": off(mesh.points[mesh.cells_dict["hexahedron20"]], [list(edge) for edge in OF_VTK])}
 seen |= {f"gmsh {ending}": by_gmsh(folder / f"a.{ending}") for ending in ("msh", "vtk")}
 for name, each in seen.items():
     print(name, "mid-side nodes off (gmsh: and bricks turned, of all):", each)

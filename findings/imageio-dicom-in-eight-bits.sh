@@ -1,11 +1,11 @@
 #!/bin/sh
-# imageio 2.38.1: a valid DICOM series of MR slices whose values 50, 100, 200 and 1000 are stored in 16 bits,
-# with a rescale slope of 1 and an intercept of 0, as many scanners write them.
+# imageio 2.38.1: a valid DICOM series of MR slices whose values 50, 100, 200 and 1000 are stored in 16
+# bits, with a rescale slope of 1 and an intercept of 0, as many scanners write them.
 # Guess: `volread` and `imread` with the format "DICOM" return the values, since slope and intercept change
 #        nothing.
-# Seen:  where a slope is stated, the smallest type is chosen anew, from the first slice, and takes 255 for a
-#        value that eight signed bits hold: 200 becomes -56, also of one slice read alone, and in the series
-#        1000 becomes -24. No word is said. Without the slope, all four come back.
+# Seen:  where a slope is stated, the smallest type is chosen anew, from the first slice, and takes 255 for
+#        a value that eight signed bits hold: 200 becomes -56, also of one slice read alone, and in the
+#        series 1000 becomes -24. No word is said. Without the slope, all four come back.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)
@@ -27,7 +27,8 @@ VALUES = [50, 100, 200, 1000]
 
 
 def write(folder, slope):
-    common = {each: generate_uid() for each in ("StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID")}
+    names = "StudyInstanceUID", "SeriesInstanceUID", "FrameOfReferenceUID"
+    common = {each: generate_uid() for each in names}
     folder.mkdir()
     for k, value in enumerate(VALUES):
         image = Dataset()

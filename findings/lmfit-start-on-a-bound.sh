@@ -1,10 +1,10 @@
 #!/bin/sh
-# lmfit 1.3.4: an indentation's force 0.8 depth^1.6, without noise, fitted with bounds: stiffness 0 to 10, power
-# 1 to 3. The start of the stiffness lies inside its bounds (2), or on the upper one (10).
+# lmfit 1.3.4: an indentation's force 0.8 depth^1.6, without noise, fitted with bounds: stiffness 0 to 10,
+# power 1 to 3. The start of the stiffness lies inside its bounds (2), or on the upper one (10).
 # Guess: the same from both starts, 0.8 and 1.6, or a failure: the fit has one minimum.
-# Seen:  from the bound "leastsq", which `minimize` takes by default, ends at 0.88 +- 0.075 and 1.54 +- 0.018,
-#        success True: within the bounds values are a sine, whose slope is zero there. The power is three standard
-#        errors off. "least_squares" finds 0.8 and 1.6 from both.
+# Seen:  from the bound "leastsq", which `minimize` takes by default, ends at 0.88 +- 0.075 and 1.54 +-
+#        0.018, success True: within the bounds values are a sine, whose slope is zero there. The power is
+#        three standard errors off. "least_squares" finds 0.8 and 1.6 from both.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

@@ -1,11 +1,11 @@
 #!/bin/sh
 # meshio 5.3.5 and VTK 9.7.2: an Exodus II file of one brick of twenty nodes (HEX20, a cube of 10 mm) in the
 # order of the format's manual, in which the nodes of the upright edges come before those of the top.
-# Guess: both return VTK's order, which meshio documents for its cells: each mid-side node between the corners
-#        of its edge.
-# Seen:  VTK turns the order; meshio passes the numbers on: eight of twelve mid-side nodes are on other edges.
-#        What meshio writes as Exodus is in VTK's order, and VTK (ParaView) reads it with the same eight off.
-#        Tetrahedra of ten nodes have one order in both, and are right.
+# Guess: both return VTK's order, which meshio documents for its cells: each mid-side node between the
+#        corners of its edge.
+# Seen:  VTK turns the order; meshio passes the numbers on: eight of twelve mid-side nodes are on other
+#        edges. What meshio writes as Exodus is in VTK's order, and VTK (ParaView) reads it with the same
+#        eight off. Tetrahedra of ten nodes have one order in both, and are right.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)
@@ -43,9 +43,9 @@ def write(path):
     with netCDF4.Dataset(path, "w", format="NETCDF3_64BIT_OFFSET") as file:
         file.api_version = file.version = np.float32(5.1)
         file.floating_point_word_size, file.file_size, file.title = np.int32(8), np.int32(1), "brick"
-        for name, size in (("num_dim", 3), ("num_nodes", 20), ("num_elem", 1), ("num_el_blk", 1), ("len_name", 33),
-                           ("len_string", 33), ("len_line", 81), ("num_el_in_blk1", 1), ("num_nod_per_el1", 20),
-                           ("time_step", None)):
+        sizes = {"num_dim": 3, "num_nodes": 20, "num_elem": 1, "num_el_blk": 1, "num_el_in_blk1": 1,
+                 "num_nod_per_el1": 20, "len_name": 33, "len_string": 33, "len_line": 81, "time_step": None}
+        for name, size in sizes.items():
             file.createDimension(name, size)
         for k, axis in enumerate("xyz"):
             file.createVariable(f"coord{axis}", "f8", ("num_nodes",))[:] = points[:, k]

@@ -1,10 +1,11 @@
 #!/bin/sh
-# methcomp 1.0.0: Deming regression of shear-wave speeds of ten people by two scanners, and of the same speeds
-# with the second scanner's in the opposite order: who was fast is slow now.
+# methcomp 1.0.0: Deming regression of shear-wave speeds of ten people by two scanners, and of the same
+# speeds with the second scanner's in the opposite order: who was fast is slow now.
 # Guess: the slope of Deming (1943), from both variances and the covariance: 1.41 of the pairs, -1.41 of the
 #        reversed ones.
-# Seen:  1.28 of both. Where the covariance belongs, the variance of the second scanner is taken, so that the
-#        line does not depend on which speed belongs to whom, and rises where the pairs fall. No word is said.
+# Seen:  1.28 of both. Where the covariance belongs, the variance of the second scanner is taken, so that
+#        the line does not depend on which speed belongs to whom, and rises where the pairs fall. No word is
+#        said.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

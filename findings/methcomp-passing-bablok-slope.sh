@@ -2,9 +2,9 @@
 # methcomp 1.0.0: Passing-Bablok regression of shear-wave speeds of nineteen people by two scanners, whose
 # relation is 1.2 times the first less 0.3 m/s, with little noise (0.02 m/s) and much (0.45 m/s).
 # Guess: the shifted median of the slopes of all pairs (Passing and Bablok 1983): 1.19 of both.
-# Seen:  with an odd number of slopes the place of the median is divided by the number of negative slopes: of
-#        the noisy speeds the slope is -0.27, drawn without a word, of the good ones, which have no negative
-#        slope, a ZeroDivisionError.
+# Seen:  with an odd number of slopes the place of the median is divided by the number of negative slopes:
+#        of the noisy speeds the slope is -0.27, drawn without a word, of the good ones, which have no
+#        negative slope, a ZeroDivisionError.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

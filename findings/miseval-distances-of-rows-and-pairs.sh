@@ -1,11 +1,11 @@
 #!/bin/sh
-# miseval 1.3.0: HausdorffDistance and BoundaryDistance of two masks in an image of 64 x 64 pixels: a square of
-# 20 pixels, and the same square 30 pixels lower, 30 beside, and in its own place.
-# Guess: a Hausdorff distance of 30, 30 and 0 pixels, as of SciPy's `directed_hausdorff` of the masks' pixels,
-#        and a boundary distance of 0 in place.
-# Seen:  the Hausdorff distance takes each row of the image for a point with 64 coordinates: 0 for the square 30
-#        pixels lower, 4.5 for the one beside. The boundary distance averages over all pairs of points, not the
-#        nearest ones: 14.7 pixels from a mask to itself. No word is said.
+# miseval 1.3.0: HausdorffDistance and BoundaryDistance of two masks in an image of 64 x 64 pixels: a square
+# of 20 pixels, and the same square 30 pixels lower, 30 beside, and in its own place.
+# Guess: a Hausdorff distance of 30, 30 and 0 pixels, as of SciPy's `directed_hausdorff` of the masks'
+#        pixels, and a boundary distance of 0 in place.
+# Seen:  the Hausdorff distance takes each row of the image for a point with 64 coordinates: 0 for the
+#        square 30 pixels lower, 4.5 for the one beside. The boundary distance averages over all pairs of
+#        points, not the nearest ones: 14.7 pixels from a mask to itself. No word is said.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

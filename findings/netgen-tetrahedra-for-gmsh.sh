@@ -2,9 +2,9 @@
 # netgen-mesher 6.2.2608, gmsh 4.15.2 and meshio 5.3.5: tetrahedra of a cube of 10 mm by netgen, exported as
 # "Gmsh2 Format" and as "Abaqus Format".
 # Guess: in each file the corners are counted as the format counts them: volumes are positive, 1000 mm3.
-# Seen:  in the Abaqus file they are. In gmsh's they stay as netgen counts them, the base the other way round:
-#        -1000 by meshio, and a negative Jacobian in every element by gmsh itself, of four nodes and of ten.
-#        No word is said; FEBio (4.11) stops at such elements.
+# Seen:  in the Abaqus file they are. In gmsh's they stay as netgen counts them, the base the other way
+#        round: -1000 by meshio, and a negative Jacobian in every element by gmsh itself, of four nodes and
+#        of ten. No word is said; FEBio (4.11) stops at such elements.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

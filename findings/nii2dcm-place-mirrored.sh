@@ -1,11 +1,12 @@
 #!/bin/sh
 # nii2dcm 0.1.6, nibabel 5.0.0 and SimpleITK 2.5.7: a NIfTI of 20 x 30 x 5 voxels of 0.977 x 0.977 x 4 mm,
 # with an origin beside the middle as of one leg, made a DICOM series by nii2dcm.
-# Guess: each voxel keeps its place: NIfTI counts x to the right and y to the front, DICOM to the left and to
-#        the back, so that both change their sign.
-# Seen:  the directions change their sign, the positions of the slices do not, and are one slice off: the series
-#        lies 197 mm beside the image that it was made from, 4 mm of it along the leg, though it looks right by
-#        itself. Pixels become 0.98 mm, rounded to two decimals. A label map of the same leg lies elsewhere.
+# Guess: each voxel keeps its place: NIfTI counts x to the right and y to the front, DICOM to the left and
+#        to the back, so that both change their sign.
+# Seen:  the directions change their sign, the positions of the slices do not, and are one slice off: the
+#        series lies 197 mm beside the image that it was made from, 4 mm of it along the leg, though it
+#        looks right by itself. Pixels become 0.98 mm, rounded to two decimals. A label map of the same leg
+#        lies elsewhere.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

@@ -1,10 +1,11 @@
 #!/bin/sh
-# nii2dcm 0.1.6 and nibabel 5.0.0: three NIfTI images made DICOM series: a CT in Hounsfield units (-1000, -100,
-# 0, 300), a map of shear-wave speed in m/s (1.25, 2.75, 3.5, 0), and an MRI of whole numbers (0 to 900).
-# Guess: DICOM's rescale slope and intercept, which nii2dcm writes, say what the stored values mean: all come
-#        back, or are refused.
-# Seen:  slope 1 and intercept 0 always: only the MRI comes back. Of the CT, air is 64536 and fat 65436; of the
-#        speeds, the whole metres per second are left: 1, 2, 3. No word is said.
+# nii2dcm 0.1.6 and nibabel 5.0.0: three NIfTI images made DICOM series: a CT in Hounsfield units (-1000,
+# -100, 0, 300), a map of shear-wave speed in m/s (1.25, 2.75, 3.5, 0), and an MRI of whole numbers (0 to
+# 900).
+# Guess: DICOM's rescale slope and intercept, which nii2dcm writes, say what the stored values mean: all
+#        come back, or are refused.
+# Seen:  slope 1 and intercept 0 always: only the MRI comes back. Of the CT, air is 64536 and fat 65436; of
+#        the speeds, the whole metres per second are left: 1, 2, 3. No word is said.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

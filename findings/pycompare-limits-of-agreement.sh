@@ -1,8 +1,8 @@
 #!/bin/sh
-# pyCompare 1.5.4 and bland-altman 0.1.4: limits of agreement of eight and of five people's shear-wave speeds by
-# two observers.
-# Guess: mean +- 1.96 standard deviations of the differences, estimated with n - 1 (Bland and Altman 1986 and
-#        1999, which pyCompare cites).
+# pyCompare 1.5.4 and bland-altman 0.1.4: limits of agreement of eight and of five people's shear-wave
+# speeds by two observers.
+# Guess: mean +- 1.96 standard deviations of the differences, estimated with n - 1 (Bland and Altman 1986
+#        and 1999, which pyCompare cites).
 # Seen:  both divide by n: their limits are 6.5 % closer together with eight people, 10.6 % with five, which
 #        looks like better agreement. Neither says so.
 # Exits non-zero if that changes.

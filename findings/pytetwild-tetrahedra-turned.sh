@@ -1,9 +1,10 @@
 #!/bin/sh
-# pytetwild 0.4.2 and pyvista 0.49.1: tetrahedra of a sphere of radius 10 mm, by `tetrahedralize`, which returns
-# arrays, and by `tetrahedralize_pv`, which returns a grid.
+# pytetwild 0.4.2 and pyvista 0.49.1: tetrahedra of a sphere of radius 10 mm, by `tetrahedralize`, which
+# returns arrays, and by `tetrahedralize_pv`, which returns a grid.
 # Guess: both count the corners alike, so that volumes are positive, as of tetgen's `tetrahedralize`.
-# Seen:  those of the grid do; in the arrays all are counted the other way round. Written to an Abaqus or FEBio
-#        file (4.11) as they are, the solver stops at the first; pressure on faces taken from them pulls.
+# Seen:  those of the grid do; in the arrays all are counted the other way round. Written to an Abaqus or
+#        FEBio file (4.11) as they are, the solver stops at the first; pressure on faces taken from them
+#        pulls.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

@@ -1,6 +1,6 @@
 #!/bin/sh
-# rt-utils 1.2.7: two masks, a bone of 10 x 10 pixels of 2 mm and a fascia of 10 x 1, made contours (RTSTRUCT)
-# by rt-utils on a valid MR series.
+# rt-utils 1.2.7: two masks, a bone of 10 x 10 pixels of 2 mm and a fascia of 10 x 1, made contours
+# (RTSTRUCT) by rt-utils on a valid MR series.
 # Guess: the contours are outlines: they enclose 400 and 40 mm2.
 # Seen:  they go through the middles of the outermost pixels: 324 and 0 mm2. rt-utils gets 100 and 10 pixels
 #        back, because it also fills what the line touches; a program that takes the contour for an outline

@@ -1,10 +1,11 @@
 #!/bin/sh
-# rt-utils 1.2.7: a mask of pixels that are 1 mm wide and 2 mm high (Pixel Spacing, rows
-# first: 2, 1), 11 pixels wide and 6 high, made contours (RTSTRUCT) by rt-utils on a valid MR series.
+# rt-utils 1.2.7: a mask of pixels that are 1 mm wide and 2 mm high (Pixel Spacing, rows first: 2, 1), 11
+# pixels wide and 6 high, made contours (RTSTRUCT) by rt-utils on a valid MR series.
 # Guess: the contour, in mm, is where the mask is: its corners are the middles of pixels, from 15 to 25 mm
 #        sideways and from 24 to 34 mm down.
-# Seen:  the two spacings are taken for each other: 30 to 50 mm and 12 to 17 mm. rt-utils reads its own file as
-#        it was, so that nothing shows it; every other program gets a bone of another shape in another place.
+# Seen:  the two spacings are taken for each other: 30 to 50 mm and 12 to 17 mm. rt-utils reads its own file
+#        as it was, so that nothing shows it; every other program gets a bone of another shape in another
+#        place.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)
@@ -50,8 +51,9 @@ structures.save(str(folder / "bone.dcm"))
 
 contour = pydicom.dcmread(folder / "bone.dcm").ROIContourSequence[0].ContourSequence[0].ContourData
 x, y = np.array(contour, float).reshape(-1, 3)[:, :2].T
-again = RTStructBuilder.create_from(str(folder / "series"), str(folder / "bone.dcm")).get_roi_mask_by_name("bone")
+structures = RTStructBuilder.create_from(str(folder / "series"), str(folder / "bone.dcm"))
+again = structures.get_roi_mask_by_name("bone")
 seen = [float(each) for each in (x.min(), x.max(), y.min(), y.max())], bool(np.array_equal(again, bone))
-print("contour from, to: sideways", *seen[0][:2], "down", *seen[0][2:], "mm; read by rt-utils as it was:", seen[1])
+print("contour: sideways", *seen[0][:2], "down", *seen[0][2:], "mm; read by rt-utils as it was:", seen[1])
 sys.exit(seen != ([30, 50, 12, 17], True))
 PYTHON

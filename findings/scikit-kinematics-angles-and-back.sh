@@ -1,11 +1,11 @@
 #!/bin/sh
 # scikit-kinematics 0.10.4: turns of a shank given as three angles, made a quaternion by the package itself
 # (`rotmat.seq2quat`) and taken apart again by its `quat.quat2seq`, in the same sequence.
-# Guess: the angles come back: nautical (Rz Ry Rx) 120, 20, 10 degrees, as of a bent knee, and Euler (Rz Rx Rz)
-#        30, 20, 10.
-# Seen:  nautical 60, 20, 10: angles beyond 90 degrees are folded back. Euler 150, 20, 10: the first angle is
-#        counted from 180, at any angle. Both are other turns, by 60 and 120 degrees, and no word is said.
-#        `rotmat.sequence` of the same turns gives 120, 20, 10, and 30, 20, 10.
+# Guess: the angles come back: nautical (Rz Ry Rx) 120, 20, 10 degrees, as of a bent knee, and Euler (Rz Rx
+#        Rz) 30, 20, 10.
+# Seen:  nautical 60, 20, 10: angles beyond 90 degrees are folded back. Euler 150, 20, 10: the first angle
+#        is counted from 180, at any angle. Both are other turns, by 60 and 120 degrees, and no word is
+#        said. `rotmat.sequence` of the same turns gives 120, 20, 10, and 30, 20, 10.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)
