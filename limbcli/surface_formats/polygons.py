@@ -21,6 +21,7 @@ _N_CORNERS = {5: 3, 8: 4, 9: 4, 22: 6, 23: 8, 28: 9}
 _VOLUMES = frozenset({10, 11, 12, 13, 14, 24, 25, 26, 27, 29, 42})
 
 
+@np.errstate(all="ignore")  # coordinates that are no numbers are the reader's to refuse
 def triangles_of(points: Array, polygons: IntArray) -> IntArray:
     """Triangles (n (k - 2), 3) of polygons (n, k), each in its plane; points (n_points, 3).
 
