@@ -11,6 +11,7 @@ folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
 "$folder/venv/bin/pip" install -q pytetwild==0.4.2 tetgen==0.8.4 pyvista==0.49.1 2>/dev/null
+cd "$folder"  # fTetWild leaves a file where it runs
 "$folder/venv/bin/python" -W ignore - <<'PYTHON'
 import sys
 
