@@ -32,6 +32,6 @@ for name, mask in (("ball", (i - 20) ** 2 + (j - 20) ** 2 + (2 * (k - 10)) ** 2 
     }
     volumes = [round(float(each.triangulate().volume)) for each in surfaces.values()]
     seen[name] = [round(VOXEL * int(mask.sum())), *volumes]
-    print(name, "voxels", seen[name][0], *(f"{key} {volume}" for key, volume in zip(surfaces, volumes, strict=True)))
+    print(name, "voxels", seen[name][0], *(f"{a} {b}" for a, b in zip(surfaces, volumes, strict=True)))
 sys.exit(seen != {"ball": [7102, 6433, 7102, 7064], "layer": [3844, 3161, 3844, 3781]})
 PYTHON

@@ -11,7 +11,8 @@ set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install -q trimesh==5.2.0 pymeshlab==2025.7.post1 pyvista==0.49.1 vtk==9.7.2 2>/dev/null
+"$folder/venv/bin/pip" install -q trimesh==5.2.0 pymeshlab==2025.7.post1 pyvista==0.49.1 vtk==9.7.2 \
+    2>/dev/null
 "$folder/venv/bin/python" -W ignore - "$folder/a.obj" <<'PYTHON'
 import sys
 from pathlib import Path
@@ -24,7 +25,8 @@ path, L = Path(sys.argv[1]), [(0, 0), (30, 0), (30, 10), (10, 10), (10, 30), (0,
 seen = {"trimesh": [], "pymeshlab": [], "VTK": []}
 for first in range(6):
     outline = L[first:] + L[:first]
-    faces = [[*range(5, -1, -1)], [*range(6, 12)], *([k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6))]
+    sides = ([k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6))
+    faces = [[*range(5, -1, -1)], [*range(6, 12)], *sides]
     rows = [f"v {x} {y} {z}" for z in (0, 20) for x, y in outline]
     path.write_text("\n".join(rows + ["f " + " ".join(str(k + 1) for k in each) for each in faces]) + "\n")
     body = trimesh.load(path)
