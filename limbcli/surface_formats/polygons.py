@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.model import IntArray
+from limbcli.model import Array, IntArray
 
 # The cells of VTK that are pieces of a surface: their number there, and their corners as plain polygons
 # (vtkCellType.h; order of the nodes: VTK File Formats).
@@ -19,6 +19,40 @@ _SPLIT = {
 _STRIP, _POLYGON = 6, 7
 _N_CORNERS = {5: 3, 8: 4, 9: 4, 22: 6, 23: 8, 28: 9}
 _VOLUMES = frozenset({10, 11, 12, 13, 14, 24, 25, 26, 27, 29, 42})
+
+
+@np.errstate(all="ignore")  # coordinates that are no numbers are the reader's to refuse
+def triangles_of(points: Array, polygons: IntArray) -> IntArray:
+    """Triangles (n (k - 2), 3) of polygons (n, k), each in its plane; points (n_points, 3).
+
+    A fan from the first corner covers a polygon without overlap if all its triangles face alike, as in every
+    convex one. The others, as a cut end of a limb may be, are cut ear by ear.
+
+    >>> points = np.array([[0, 0, 0], [4, 0, 0], [1, 1, 0], [0, 4, 0]], float)  # (1, 1) is a corner inwards
+    >>> triangles = triangles_of(points, np.array([[1, 2, 3, 0]]))  # a fan would be [1, 2, 3], [1, 3, 0]
+    >>> sorted(sorted(each) for each in triangles.tolist())
+    [[0, 1, 2], [0, 2, 3]]
+    """
+    k = np.arange(1, polygons.shape[1] - 1)
+    fans: IntArray = polygons[:, np.column_stack([np.zeros_like(k), k, k + 1])]
+    if len(k) > 1:
+        first, second, third = (points[fans[..., corner]] for corner in range(3))
+        normals = np.cross(second - first, third - first)
+        whole = normals.sum(axis=1)
+        facing = np.einsum("nki,ni->nk", normals, whole)
+        for each in np.flatnonzero((facing < -1e-12 * (whole**2).sum(axis=1)[:, None]).any(axis=1)):
+            fans[each] = polygons[each][_ears(points[polygons[each]], whole[each])]
+    return fans.reshape(-1, 3)
+
+
+def _ears(corners: Array, normal: Array) -> IntArray:
+    """Triangles (k - 2, 3) of one polygon, of corners (k, 3), seen along its normal."""
+    import manifold3d
+
+    axis = int(np.argmax(np.abs(normal)))
+    seen = [(axis + 1) % 3, (axis + 2) % 3]
+    triangles = manifold3d.triangulate([corners[:, seen if normal[axis] > 0 else seen[::-1]]])
+    return np.asarray(triangles, np.int64)
 
 
 def by_length(corners: IntArray, ends: IntArray) -> list[IntArray]:

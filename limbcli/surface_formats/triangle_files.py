@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from limbcli.surface_formats.aop import read_aop
 from limbcli.surface_formats.off import read_off
+from limbcli.surface_formats.polygons import triangles_of
 from limbcli.surface_formats.stated_frame import stated_frame
 from limbcli.surface_formats.stl import read_stl
 from limbcli.surface_formats.three_mf import read_3mf
@@ -60,20 +61,12 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
         raise OSError("its points do not have three coordinates")
     if any(each.ndim != 2 for each in polygons):
         raise OSError("its faces are not lists of corners")
-    faces = np.concatenate([np.zeros((0, 3), np.int64), *(_fans(each) for each in polygons if each.size)])
-    if len(faces) and not 0 <= faces.min() <= faces.max() < len(points):
+    polygons = [each for each in polygons if each.size and each.shape[1] > 2]
+    if any(not 0 <= each.min() <= each.max() < len(points) for each in polygons):
         raise OSError(f"a triangle refers to a point that does not exist (of {len(points)})")
-    return stated_frame(path).to_lps(points[:, :3], faces)
-
-
-def _fans(polygons: _Faces) -> _Faces:
-    """Triangles (n (k - 2), 3) of polygons (n, k), as fans from their first vertices.
-
-    >>> _fans(np.array([[4, 5, 6, 7]])).tolist()
-    [[4, 5, 6], [4, 6, 7]]
-    """
-    k = np.arange(1, polygons.shape[1] - 1)
-    return polygons[:, np.column_stack([np.zeros_like(k), k, k + 1])].reshape(-1, 3)
+    points = points[:, :3]
+    faces = np.concatenate([np.zeros((0, 3), np.int64), *(triangles_of(points, each) for each in polygons)])
+    return stated_frame(path).to_lps(points, faces)
 
 
 def _by_meshio(path: Path) -> tuple[_Points, list[_Faces]]:

@@ -94,6 +94,27 @@ def test_lines_of_obj_that_go_on_are_one(tmp_path: Path) -> None:
     assert (len(points), len(faces)) == (8, 12)
 
 
+@pytest.mark.parametrize("first", range(6))
+@pytest.mark.parametrize("turn", [np.eye(3), -np.eye(3)[[1, 2, 0]]])
+def test_a_face_that_is_not_convex_is_covered_once(tmp_path: Path, first: int, turn: np.ndarray) -> None:
+    # an L of 500 mm2 with sides of 120 mm in all, 20 mm high; a fan would cover parts of its ends twice
+    outline = np.roll([(0, 0), (30, 0), (30, 10), (10, 10), (10, 30), (0, 30)], -first, axis=0)
+    points = np.vstack([np.column_stack([outline, np.full(6, z)]) for z in (0, 20)]) @ turn
+    faces = [
+        [*range(5, -1, -1)],
+        [*range(6, 12)],
+        *([k, (k + 1) % 6, (k + 1) % 6 + 6, k + 6] for k in range(6)),
+    ]
+    rows = [f"v {x} {y} {z}" for x, y, z in points] + [
+        "f " + " ".join(str(k + 1) for k in each) for each in faces
+    ]
+    (tmp_path / "a.obj").write_text("\n".join(rows))
+    points, faces = read_triangles(tmp_path / "a.obj")
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    assert np.linalg.norm(np.cross(b - a, c - a), axis=1).sum() / 2 == pytest.approx(2 * 500 + 20 * 120)
+    assert np.einsum("ij,ij->", a, np.cross(b, c)) / 6 == pytest.approx(np.linalg.det(turn) * 500 * 20)
+
+
 def stl_text(*, name: str = "", indent: str = "", upper: bool = False) -> str:
     triangles = [[face[0], face[k], face[k + 1]] for face in SIDES + ENDS for k in range(1, len(face) - 1)]
     lines = [f"solid {name}"]
