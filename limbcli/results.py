@@ -272,11 +272,8 @@ def _digest(content: Mapping[str, Any]) -> str:
 def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResult:
     """Read the result of a stage.
 
-    Raises
-    ------
-    CaseError
-        If the stage has not been run, or its JSON cannot be read, was changed since it was written, or
-        belongs to another stage or site.
+    Raises CaseError if the stage has not been run, or its JSON cannot be read, was changed since it was
+    written, or belongs to another stage or site.
     """
     folder = stage_folder(out, stage, site)
     with record_of(

@@ -98,14 +98,8 @@ def prepare(
 
     draining : solver for draining tissue; None: poroelasticity is not simulated
 
-    Raises
-    ------
-    CaseError
-        If `segment` has not been run.
-    MeasurementError
-        If the levels cannot be used.
-    SolveError
-        If the model without effects cannot be solved.
+    Raises CaseError if `segment` has not been run; MeasurementError if the levels cannot be used; SolveError
+    if the model without effects cannot be solved.
     """
     made, refused = _Preparation(case, site, out, mesh, progress), dict[str, LimbError]()
     simulations = made.simulations()
@@ -142,10 +136,7 @@ def turned_by_90(
 ) -> SiteCurves:
     """Curves of the same measurement with the probe's long side turned by 90 degrees.
 
-    Raises
-    ------
-    MeshError, SolveError
-        If the place cannot be meshed or simulated with the turned probe.
+    Raises MeshError or SolveError if the place cannot be meshed or simulated with the turned probe.
     """
     site, known = prepared.site, prepared.curves
     other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))

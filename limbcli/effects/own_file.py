@@ -33,12 +33,9 @@ def effect_of_file(path: Path, known: Sequence[Effect]) -> Effect:
 
     known : effects whose names, and those of their parameters, are already in use
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be run, defines no effect, or defines one that cannot be used: of an unsupported
-        kind, without a function that changes anything, or with bounds that do not contain the null and the
-        start.
+    Raises CaseError if the file cannot be run, defines no effect, or defines one that cannot be used: of an
+    unsupported kind, without a function that changes anything, or with bounds that do not contain the null
+    and the start.
     """
     found = getattr(_run(path), "EFFECT", None)
     if not isinstance(found, Effect):

@@ -63,10 +63,7 @@ def _refuse_no_contact(contact: Contact) -> None:
 def refuse_without_stiffness(model: LimbModel) -> None:
     """Refuse materials that do not resist deformation at rest; those that follow a load curve are skipped.
 
-    Raises
-    ------
-    SolveError
-        If a tangent at rest has an eigenvalue that is not positive beyond round-off.
+    Raises SolveError if a tangent at rest has an eigenvalue that is not positive beyond round-off.
     """
     for domain in model.domains:
         compiled = compile_material(model.materials[domain.material], domain.material)

@@ -64,14 +64,8 @@ def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
 
     row : row of the level in levels.csv, which is also the number of its map
 
-    Raises
-    ------
-    CaseError
-        If the site has no maps.
-    MeasurementError
-        If the map of level 0 is missing, faulty, too small, or outside the model.
-    MeshError
-        If the tissue is not a single block.
+    Raises CaseError if the site has no maps; MeasurementError if the map of level 0 is missing, faulty, too
+    small, or outside the model; MeshError if the tissue is not a single block.
     """
     swe = _level_0(site, row)
     raise_errors(check_width(swe, probe_length(model)), MeasurementError)

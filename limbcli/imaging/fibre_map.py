@@ -93,11 +93,8 @@ def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
     frame : of the components: "ras", "lps", or "fsl" (the voxel axes, the first reversed if the image's
         determinant is positive)
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, has another number of components, lacks its position, lies in a template's
-        space, or contains no direction.
+    Raises CaseError if the file cannot be read, has another number of components, lacks its position, lies in
+    a template's space, or contains no direction.
     """
     image = open_nifti(path, noun="fibre map")
     if image.get_data_dtype().kind not in "fiu":

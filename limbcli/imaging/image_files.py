@@ -28,10 +28,8 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
 
     A volume file does not state its modality: it is taken as CT if its air is below -500.
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, or is not one scalar volume of a limb with its position in the patient frame.
+    Raises CaseError if it cannot be read, or is not one scalar volume of a limb with its position in the
+    patient frame.
     """
     reader = _reader_of(path.name.lower())
     if path.is_dir() or (reader is None and has_preamble(path)):

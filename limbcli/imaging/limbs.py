@@ -83,10 +83,7 @@ def _without(volume: Volume, parts: NDArray[np.int_], wanted: int, other: int) -
 def require_bright_fat(volume: Volume, limb: NDArray[np.bool_]) -> None:
     """Refuse an image in which subcutaneous fat is darker than deep tissue: no T1 contrast.
 
-    Raises
-    ------
-    CaseError
-        With possible fixes.
+    Raises CaseError with possible fixes.
     """
     depth = np.zeros(limb.shape, np.float32)
     for k in range(limb.shape[2]):

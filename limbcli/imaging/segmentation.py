@@ -100,11 +100,8 @@ def segment_limb(
     -------
     Segmentation
 
-    Raises
-    ------
-    CaseError
-        If no limb stands out from the background, two do, fat is not bright, or a seed lies outside the image
-        or, for a bone seed, outside the limb.
+    Raises CaseError if no limb stands out from the background, two do, fat is not bright, or a seed lies
+    outside the image or, for a bone seed, outside the limb.
     """
     hints = hints or SegmentationHints()
     _require_within(image, hints)

@@ -40,10 +40,8 @@ def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str 
     -------
     Triangles in patient LPS, watertight and two-manifold
 
-    Raises
-    ------
-    MeshError
-        If the mask is empty, so thin that smoothing leaves nothing, or no closed surface comes out.
+    Raises MeshError if the mask is empty, so thin that smoothing leaves nothing, or no closed surface comes
+    out.
 
     >>> grid = np.indices((24, 24, 24)) - 11.5
     >>> ball = Volume((grid**2).sum(axis=0) < 81, np.diag([1.0, 1.0, 1.0, 1.0]))

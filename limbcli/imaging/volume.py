@@ -107,11 +107,8 @@ def require_placed(affine: Array, path: Path | str, *, noun: str) -> Array:
 
     noun : what the file is, for the messages ("image", "label map")
 
-    Raises
-    ------
-    CaseError
-        If position or directions are no finite numbers, a direction has no length, or the three lie in one
-        plane.
+    Raises CaseError if position or directions are no finite numbers, a direction has no length, or the three
+    lie in one plane.
     """
     affine = np.asarray(affine, dtype=np.float64)
     fix = "export it again with its geometry, from 3D Slicer or the DICOM series"
@@ -134,10 +131,7 @@ def require_unit_directions(directions: Array, *, where: str, what: str, fix: st
 
     what : what they are, for the message
 
-    Raises
-    ------
-    CaseError
-        If they are not.
+    Raises CaseError if they are not.
     """
     directions = np.asarray(directions, dtype=np.float64)
     if not np.abs(directions @ directions.T - np.eye(len(directions))).max() <= _UNIT:  # also of NaN

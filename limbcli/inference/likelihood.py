@@ -277,10 +277,7 @@ class Likelihood:
         """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those
         that are too uncertain, or else the farthest from any solved point.
 
-        Raises
-        ------
-        SolveError
-            If the model cannot be solved there.
+        Raises SolveError if the model cannot be solved there.
         """
         for emulator in dict.fromkeys(each.emulator for each in self.blocks):
             own = [each for each in self.blocks if each.emulator is emulator]

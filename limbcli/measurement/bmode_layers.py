@@ -32,10 +32,8 @@ def follow_borders(
     stated : thickness (mm) of skin, then of fat, at the first level (it is then tracked) or at every level
     bone : the bone line at every level
 
-    Raises
-    ------
-    MeasurementError
-        If fat is given without skin, an interface is lost, or interfaces cross each other or the bone.
+    Raises MeasurementError if fat is given without skin, an interface is lost, or interfaces cross each other
+    or the bone.
     """
     if stated and next(iter(stated)) != "skin":
         raise MeasurementError(

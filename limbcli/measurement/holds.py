@@ -237,10 +237,8 @@ def without_probe_weight(
     cos(theta_tare)), with cos(theta) from the accelerometer's reading along `axis` ("x", "y", "z"; "-z" if it
     points the other way).
 
-    Raises
-    ------
-    MeasurementError
-        If there is no accelerometer record, it is not in g, or no sample lies within `tare_s`.
+    Raises MeasurementError if there is no accelerometer record, it is not in g, or no sample lies within
+    `tare_s`.
     """
     from dataclasses import replace
 

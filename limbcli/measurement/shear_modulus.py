@@ -24,10 +24,7 @@ def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m
     -------
     array, shape (n_samples,), MPa
 
-    Raises
-    ------
-    MeasurementError
-        If a speed is not finite and positive (index and value given).
+    Raises MeasurementError if a speed is not finite and positive (index and value given).
 
     Source: Sarvazyan et al. 1998, Ultrasound Med Biol 24:1419.
 

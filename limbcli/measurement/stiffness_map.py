@@ -44,10 +44,7 @@ def stiffness_at(swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.
     swe : the map of level 0, lateral along the model's x, depth along -z, mm
     points : (n_points, 3) mm, frame of the site's model
 
-    Raises
-    ------
-    MeasurementError
-        If the map has fewer than a dozen pixels or they are collinear.
+    Raises MeasurementError if the map has fewer than a dozen pixels or they are collinear.
     """
     if len(swe) < _LEAST_PIXELS:
         raise MeasurementError(

@@ -39,10 +39,8 @@ class PointStates:
     @staticmethod
     def of(model: LimbModel, simulation: Simulation) -> PointStates:
         """
-        Raises
-        ------
-        MeasurementError
-            If the simulation recorded no elements, or not the displacements of all of their nodes.
+        Raises MeasurementError if the simulation recorded no elements, or not the displacements of all of
+        their nodes.
         """
         elements = _largest(simulation.elements.values())
         found, items, first = [], [], 0
@@ -85,10 +83,7 @@ class NodeDisplacements:
         tables: Iterable[Table], needed: Iterable[IntegrationPoints], *, n_points: int
     ) -> NodeDisplacements:
         """
-        Raises
-        ------
-        MeasurementError
-            If no table holds the displacements of all the nodes that are needed.
+        Raises MeasurementError if no table holds the displacements of all the nodes that are needed.
         """
         nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.cells.ravel() for each in needed)]))
         for each in tables:
@@ -118,10 +113,7 @@ def level_maps(
     face_depths : (n_times,) mm, depth of the top of the window if it is not that of the probe (probe not in
         contact)
 
-    Raises
-    ------
-    MeasurementError
-        If the window contains no tissue at some level.
+    Raises MeasurementError if the window contains no tissue at some level.
     """
     states = PointStates.of(model, simulation)
     depths, maps = simulation.probe_depth() if face_depths is None else face_depths, []

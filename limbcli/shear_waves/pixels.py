@@ -69,10 +69,7 @@ def predict_map(
     face_height : z of the probe face, mm
     pixels : lateral and depth of pixels other than the window's own, such as those of a measured map, mm
 
-    Raises
-    ------
-    MeasurementError
-        If no pixel lies in the tissue.
+    Raises MeasurementError if no pixel lies in the tissue.
     """
     lateral, depth = window.pixels() if pixels is None else pixels
     known = np.flatnonzero(np.isfinite(speed_m_per_s))

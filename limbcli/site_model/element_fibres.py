@@ -44,10 +44,8 @@ class SiteFibres:
 def with_fibres(case: Case, site: Site, model: LimbModel) -> tuple[LimbModel, SiteFibres]:
     """The meshed model with the fibres stated by the case, and the fibres with their source.
 
-    Raises
-    ------
-    CaseError
-        If the angles do not determine a direction, or the map does not cover the tissue under the probe.
+    Raises CaseError if the angles do not determine a direction, or the map does not cover the tissue under
+    the probe.
     """
     found = _site_fibres(case, site, model)
     if found.axes is None:

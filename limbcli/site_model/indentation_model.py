@@ -34,10 +34,7 @@ _CONTACT_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) 
 def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: float, m: float) -> LimbModel:
     """The meshed model with tissue, a load through the plan's depths, solver settings and records.
 
-    Raises
-    ------
-    CaseError
-        If the model has no body `probe`, no contact, or no material `tissue`.
+    Raises CaseError if the model has no body `probe`, no contact, or no material `tissue`.
     """
     _check(model)
     model = start_at(model, plan.start).with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))

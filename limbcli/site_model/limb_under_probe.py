@@ -67,10 +67,7 @@ def limb_forces(
 
     penalty : of its contact, as a multiple of the tissue's stiffness at rest
 
-    Raises
-    ------
-    SolveError
-        If the model cannot be solved.
+    Raises SolveError if the model cannot be solved.
     """
     placed = under_probe(limb, probe)
     plan = schedule(depths.tolist(), start=starting_depth(placed, float(depths[0])))

@@ -48,10 +48,7 @@ def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> N
 
     modelled : skin-bone distance in the model, mm; None: no bone
 
-    Raises
-    ------
-    MeasurementError
-        If it does.
+    Raises MeasurementError if it does.
     """
     if modelled is not None and deepest >= modelled:
         raise MeasurementError(

@@ -36,10 +36,7 @@ def note_segmented(
 def site_position(site: Site, segmented: StageResult) -> tuple[float, float, float]:
     """Position of a site (LPS, mm): as given, or that of its marker.
 
-    Raises
-    ------
-    CaseError
-        If the marker was not found in the images.
+    Raises CaseError if the marker was not found in the images.
     """
     if site.position is not None:
         return site.position

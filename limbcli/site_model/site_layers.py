@@ -134,10 +134,7 @@ def wanted_layers(
         surface; its thickness from images then includes the skin's, so that the border to the muscle is
         where the images show it.
 
-    Raises
-    ------
-    CaseError
-        If a thickness cannot be used, or the images do not give it.
+    Raises CaseError if a thickness cannot be used, or the images do not give it.
     """
     given = {"skin": skin, "fat": fat}
     requested = {name: _requested(site, name, value) for name, value in given.items()}
@@ -224,10 +221,7 @@ def layer_laws(
 ) -> dict[str, LayerLaw]:
     """The law of each layer: by option, else by case.toml, else assumed (and listed as such).
 
-    Raises
-    ------
-    CaseError
-        If a law is given for a layer that the model does not have.
+    Raises CaseError if a law is given for a layer that the model does not have.
     """
     given = given or {}
     for name in given:

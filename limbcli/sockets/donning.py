@@ -182,10 +182,8 @@ def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | Non
     limb : solids, laws and supports: bones and proximal cut held; without contacts
     face : inner face in the limb's frame, mm, normals towards the limb
 
-    Raises
-    ------
-    CaseError
-        If the limb has no such skin, holds contacts or a body named `socket`, or an option is out of range.
+    Raises CaseError if the limb has no such skin, holds contacts or a body named `socket`, or an option is
+    out of range.
     """
     options = options or DonningOptions()
     _check(limb, options)
@@ -249,14 +247,8 @@ def don_and_load(
     keep : folder in which an unfinished run leaves its converged load steps, from which the next run of the
         same model goes on; None: nothing is kept
 
-    Raises
-    ------
-    CaseError
-        As `socket_model`.
-    MeshError
-        If the donned socket touches the skin nowhere, and there are loads.
-    SolveError
-        If the model holds what the solver does not support, or a step has no equilibrium.
+    Raises CaseError as `socket_model`; MeshError if the donned socket touches the skin nowhere, and there are
+    loads; SolveError if the model holds what the solver does not support, or a step has no equilibrium.
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)

@@ -35,10 +35,7 @@ def inner_face(surface: Triangles, line: CentreLine, *, where: str = "socket") -
     Triangles
         With normals towards the limb.
 
-    Raises
-    ------
-    MeshError
-        If neither a sheet nor a wall is found, or its facets are not oriented alike.
+    Raises MeshError if neither a sheet nor a wall is found, or its facets are not oriented alike.
     """
     pieces = bodies(surface)
     sheet = _wide_rims(pieces[0]) > 0

@@ -44,10 +44,7 @@ def with_liner(limb: LimbModel, liner: Liner, *, skin: str = "skin") -> LimbMode
     """The limb with its liner: block and surface `liner`; the surface's facets are in the skin's order. Of a
     liner that slides also the surface `liner_inside`, whose normals point to the skin.
 
-    Raises
-    ------
-    MeshError
-        If the layer would fold: the skin is too hollow for its thickness.
+    Raises MeshError if the layer would fold: the skin is too hollow for its thickness.
     """
     (kind, facets), *_ = limb.mesh.surfaces[skin].facets.items()
     corners = facets[:, :3]

@@ -36,10 +36,7 @@ class Budget:
     def charge(self, *, step: int, n_steps: int, krylov: int, factorisations: int) -> None:
         """Count a Newton iteration in a load step, with its Krylov products and factorisations.
 
-        Raises
-        ------
-        BudgetSpent
-            If the work exceeds what is allowed.
+        Raises BudgetSpent if the work exceeds what is allowed.
         """
         if step > self.needed * n_steps:
             self.needed, self.allowed = math.inf, min(self.allowed, (1.0 + self.beyond) * self.spent)

@@ -42,10 +42,7 @@ def _has_stress(table: Table) -> bool:
 def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Path) -> None:
     """Check every table with deformation gradient and stress against its cells' laws.
 
-    Raises
-    ------
-    SolveError
-        If the median deviation from the law exceeds 3 %.
+    Raises SolveError if the median deviation from the law exceeds 3 %.
     """
     laws = _laws_by_cell(model)
     for name, table in elements.items():

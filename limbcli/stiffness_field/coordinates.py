@@ -111,10 +111,7 @@ def limb_coordinates(
     skin, bones : open or closed surfaces in one frame, mm; the flat closure of the proximal end is left out
     axis : (3,) along the limb towards proximal
 
-    Raises
-    ------
-    MeshError
-        If the axis has no direction, or does not run along the skin.
+    Raises MeshError if the axis has no direction, or does not run along the skin.
     """
     size = float(np.linalg.norm(axis))
     if not np.isfinite(size) or size < 1e-9:

@@ -196,10 +196,7 @@ class SiteSimulations:
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
         """The curves with exponent m and these effects (at their parameter values) in the model.
 
-        Raises
-        ------
-        SolveError
-            If the simulation fails; the failure is cached too.
+        Raises SolveError if the simulation fails; the failure is cached too.
         """
         key = self.models.key(m, ingredients)
         if key not in self._known:
@@ -230,10 +227,7 @@ class SiteSimulations:
         Evaluated at the deformation solved without them, so that no simulation is needed. The change of force
         at depth 0 is set to that of the first level.
 
-        Raises
-        ------
-        SolveError
-            If the force at fixed deformation changes by more than `_MOST_CHANGE` times.
+        Raises SolveError if the force at fixed deformation changes by more than `_MOST_CHANGE` times.
         """
         kinematics, of_law, density = self.kinematics(m), laws(ingredients), self.table.density_kg_per_m3
         if m not in self._unchanged:

@@ -167,10 +167,7 @@ class SiteSolver:
     def solve(self, m: float, ingredients: Ingredients, depths: Sequence[float]) -> Solve:
         """Solve one model at some of the depths (mm).
 
-        Raises
-        ------
-        SolveError
-            If not enough depths are reached; `BudgetSpent` if that is because of the work.
+        Raises SolveError if not enough depths are reached; `BudgetSpent` if that is because of the work.
         """
         model = self.models.to_solve(m, ingredients, [self.times[depth] for depth in depths])
         n_full, n_required = (self.reach.down_to(depths, share=each) for each in (1.0, self.reach.enough))

@@ -41,10 +41,7 @@ def record_derivatives(
 ) -> tuple[IntArray, Array]:
     """Item numbers (from 0) and d(field)/d(theta) (n_items, n_fields) of one record at a converged state.
 
-    Raises
-    ------
-    SolveError
-        If the record has an unsupported field.
+    Raises SolveError if the record has an unsupported field.
     """
     check_record(record)
     if record.kind == "rigid_body":

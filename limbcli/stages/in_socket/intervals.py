@@ -82,10 +82,8 @@ def pressure_intervals(
 
     base : rows of the solve with the limb's own values; solved : the same rows for other values
 
-    Raises
-    ------
-    SolveError
-        If a solve has no equilibrium, with a changed place neither on one side nor on the other.
+    Raises SolveError if a solve has no equilibrium, with a changed place neither on one side nor on the
+    other.
     """
     centre, deviations = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
     varied = [k for k in range(len(NAMES)) if deviations[k] > _LEAST]

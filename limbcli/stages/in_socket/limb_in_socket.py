@@ -85,10 +85,7 @@ def frame_of(model: LimbModel) -> LimbFrame:
 def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> LimbInSocket:
     """The limb and its socket, checked.
 
-    Raises
-    ------
-    CaseError, MeshError
-        If the socket does not fit the limb; each reason has its own message.
+    Raises CaseError or MeshError if the socket does not fit the limb; each reason has its own message.
     """
     frame = frame_of(model)
     limb = _upright(model, frame)

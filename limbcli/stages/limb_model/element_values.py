@@ -60,10 +60,7 @@ def limb_stiffness(
 ) -> LimbStiffness:
     """One c for the limb: given, else the mean of the fitted sites, else that of the sites' speeds at rest.
 
-    Raises
-    ------
-    CaseError
-        If none is known, or the given one is out of range.
+    Raises CaseError if none is known, or the given one is out of range.
     """
     if c_kpa is not None:
         low, high = C_KPA

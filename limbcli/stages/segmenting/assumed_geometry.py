@@ -85,10 +85,7 @@ class AssumedLimb:
 def assumed_limb(case: Case) -> AssumedLimb:
     """Skin and bones of a case without images of them.
 
-    Raises
-    ------
-    CaseError
-        Listing every problem: layers that do not add up, a site without a distance to the bone.
+    Raises CaseError listing every problem: layers that do not add up, a site without a distance to the bone.
     """
     raise_errors(assumed_problems(case), CaseError)
     return _of_numbers(case.imaging.shape, case) if case.imaging.shape is not None else _of_a_scan(case)
