@@ -95,8 +95,6 @@ def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
 
     The same curve as `scipy.interpolate.PchipInterpolator` and MATLAB's `pchip`.
 
-    Parameters
-    ----------
     knots : (n_knots,) strictly increasing, n_knots >= 2
     values : (n_knots,)
     places : (n,) within the knots

@@ -36,8 +36,6 @@ class Line:
 def speed_line(x: Array, speed_m_per_s: Array, *, against: str) -> Line:
     """Least-squares line of shear-wave speeds (m/s) over `x`, through the levels that have a speed.
 
-    Parameters
-    ----------
     x : array, shape (n_levels,): probe force (N, compression positive) or indentation depth (mm)
     speed_m_per_s : array, shape (n_levels,), m/s, > 0; NaN where a level has no SWE
     against : what x is, for the messages ("force", "depth")

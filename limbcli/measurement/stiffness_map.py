@@ -39,8 +39,6 @@ class Stiffnesses:
 def stiffness_at(swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0) -> Stiffnesses:
     """c at points of a site's model.
 
-    Parameters
-    ----------
     swe : the map of level 0, lateral along the model's x, depth along -z, mm
     points : (n_points, 3) mm, frame of the site's model
 

@@ -62,8 +62,6 @@ def predict_map(
     weights of the window's smoothing: a linear speed field is reproduced exactly, at edges too. Pixels
     outside the tissue (bone, beyond the model) and points where no wave propagates are omitted.
 
-    Parameters
-    ----------
     positions : (n_elements, 3) mm, in the deformed tissue, site frame
     speed_m_per_s : (n_elements,), NaN where no wave propagates
     face_height : z of the probe face, mm

@@ -89,8 +89,6 @@ def align(
 ) -> Alignment:
     """The rigid transform that brings an inner face onto the skin, from starts all around the limb.
 
-    Parameters
-    ----------
     face : the inner face (an open sheet) in its own frame, mm
     line : the limb's centre line
     seed : of the points that are compared

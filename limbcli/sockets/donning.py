@@ -177,8 +177,6 @@ class DonningResult:
 def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | None = None) -> LimbModel:
     """The limb's model with its socket: everything a solver needs, also as `socket.feb`.
 
-    Parameters
-    ----------
     limb : solids, laws and supports: bones and proximal cut held; without contacts
     face : inner face in the limb's frame, mm, normals towards the limb
 
@@ -241,8 +239,6 @@ def don_and_load(
     """Put a limb into its socket and load it, with the reference solver. Progress says what each step leads
     to ("donned 40 %", "50 % of the way to 400 N").
 
-    Parameters
-    ----------
     limb, face, options : as for `socket_model`
     keep : folder in which an unfinished run leaves its converged load steps, from which the next run of the
         same model goes on; None: nothing is kept

@@ -57,8 +57,6 @@ def rectified(
     along a smooth curve (3 t^2 - 2 t^3). Where transitions overlap the amounts are averaged by their weights,
     if these exceed 1 in sum.
 
-    Parameters
-    ----------
     skin : closed or open skin with outward normals, mm
     patches : by name, the numbers of the skin's points in it
     toward_tip (3,) : direction along the limb
