@@ -10,7 +10,7 @@ from limbcli.api.stage_result import Result, one
 from limbcli.numbers.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
 from limbcli.options import CASE, OUT, PROGRESS, TEMPLATES, WAIT, Option
 from limbcli.results import StageResult
-from limbcli.stages.in_socket.patch_pressure import PatchPressure
+from limbcli.stages.in_socket.patch_table import PatchPressure
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,10 +12,10 @@ from limbcli.feb.settings import schedule
 from limbcli.files.plain_text import write_rows
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.mesh_extrapolation import extrapolate
+from limbcli.meshing.mesh_picture import study_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
-from limbcli.meshing.study_picture import study_picture
 from limbcli.model import LimbModel
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.progress import SILENT, Progress

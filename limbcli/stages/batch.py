@@ -55,7 +55,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
 
     Raises CaseError if the folder does not exist.
     """
-    from limbcli.stages.report_pages.failure import report_failure
+    from limbcli.stages.report import report_failure
 
     try:
         return Case.open(folder)

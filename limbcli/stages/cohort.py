@@ -16,7 +16,6 @@ import numpy as np
 from limbcli.cohorts.column_checks import checked_cohort
 from limbcli.cohorts.compliance import compliance_left_out
 from limbcli.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
-from limbcli.cohorts.page import PICTURES, cohort_page, is_ours
 from limbcli.cohorts.result import (
     UNTOLD_MUSCLE,
     UNTOLD_RATIO,
@@ -28,6 +27,7 @@ from limbcli.cohorts.result import (
     site_entry,
     summary_lines,
 )
+from limbcli.cohorts.sections import PICTURES, cohort_page, is_ours
 from limbcli.cohorts.table import CohortTable
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import checked, raise_errors

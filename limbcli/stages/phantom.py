@@ -29,8 +29,8 @@ from limbcli.imaging.surface import write_surface
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
-from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.mri import SimulatedVolume, acquire, tissue_fractions
+from limbcli.phantom.simulated_readings import write_readings
 from limbcli.phantom.subject import PLACES, PhantomSite, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance

@@ -24,9 +24,8 @@ from limbcli.files.temporary_folders import scratch_folder
 from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
-from limbcli.phantom.measured_files import write_levels, write_readings
 from limbcli.phantom.protocol import TrueLevels
-from limbcli.phantom.simulated_readings import Readings, measure
+from limbcli.phantom.simulated_readings import Readings, measure, write_levels, write_readings
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, provenance, read_result, stage_folder

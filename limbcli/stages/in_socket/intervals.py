@@ -23,8 +23,7 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, ElementMap, LimbModel, Value
 from limbcli.progress import Progress
-from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval
+from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval, PatchPressure
 
 ALIGNMENT = "alignment"
 _POSE = ("tilt_sagittal", "tilt_frontal", "shift_across", "shift_front_back")
