@@ -180,7 +180,9 @@ class _Preparation:
         self.levels = levels_of(site)
         self.maps = maps_of(site, self.levels)
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
-        self.skin_bone = self._skin_bone()
+        checks = data_if_there(self.out, "mesh", site=self.site.name).get("checks", {})
+        seen = checks.get("skin_bone_mm")
+        self.skin_bone = float(seen) if seen is not None else measured_skin_bone(self.site)
         check_within_tissue(float(np.max(self.levels.depth)), self.skin_bone, site)
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
         self.layers: LayerReadings | None = None  # in the working mesh, once it is made
@@ -230,12 +232,6 @@ class _Preparation:
             self.notes.warnings.append(f"the layers are not used: {error.what}")
             return None
         return layers
-
-    def _skin_bone(self) -> float | None:
-        """Tissue thickness in mm under the probe's centre, from the site's own mesh, else as measured."""
-        checks = data_if_there(self.out, "mesh", site=self.site.name).get("checks", {})
-        found = checks.get("skin_bone_mm")
-        return float(found) if found is not None else measured_skin_bone(self.site)
 
     def _working_mesh(self) -> LimbModel:
         """A coarse mesh of the site; without surfaces (no `segment`), the site's own mesh."""

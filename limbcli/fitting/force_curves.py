@@ -23,7 +23,7 @@ from limbcli.fitting.model_checks import ChangedBoundary
 from limbcli.fitting.solve_again import CheckSolver
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
-from limbcli.model import Array, ElementMap, IntArray, LimbModel
+from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.site_model.indentation_model import TISSUE, with_penalty, with_tissue
@@ -236,17 +236,12 @@ class LawCurve:
             values += [mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)]
             slopes += [np.full((len(rows), len(theta)), np.nan)]
         if self._lines is not None:
-            values += [_line_depths(self._lines, result, rows)]
+            values += [self._lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()]
             slopes += [_line_slopes(self._lines, result, searched)]
         return Prediction(np.concatenate(values), np.vstack(slopes))
 
     def close(self) -> None:
         self._session.close()
-
-
-def _line_depths(lines: MaterialLines, result: SessionResult, rows: IntArray) -> Array:
-    """Depths of the lines below the skin, mm (n_levels * n_lines,)."""
-    return lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()
 
 
 def _line_slopes(lines: MaterialLines, result: SessionResult, searched: Mapping[str, Array]) -> Array:

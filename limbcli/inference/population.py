@@ -325,7 +325,8 @@ def _rows(
     middle, covariance = _moments(points, weights)
     # Fraction of a shift of the population mean by which the row's estimate shifts.
     taken = covariance @ _inverse(population.spread)
-    mean_errors = _mean_errors(population, points.shape, seed)
+    rng = np.random.default_rng([seed, 1])
+    mean_errors = np.asarray(rng.standard_t(population.n_people - 1, points.shape) * population.mean_error)
     shifted = points + np.einsum("nij,dnj->dni", taken, mean_errors)
     low, high = (_quantiles(shifted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
@@ -333,12 +334,6 @@ def _rows(
     misfit = _misfit(problem, population.mean, population.spread)
     effective = 1.0 / np.sum(weights**2, axis=0)
     return Rows(middle, np.sqrt(variance), low, high, mode, effective, shrinkage, misfit)
-
-
-def _mean_errors(population: Population, shape: tuple[int, ...], seed: int) -> Array:
-    """Draws (DRAWS, n, p) of the error of the population mean, independent for each row."""
-    rng = np.random.default_rng([seed, 1])
-    return np.asarray(rng.standard_t(population.n_people - 1, shape) * population.mean_error)
 
 
 def _quantiles(points: Array, weights: Array, q: float) -> Array:

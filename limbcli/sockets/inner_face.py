@@ -38,7 +38,8 @@ def inner_face(surface: Triangles, line: CentreLine, *, where: str = "socket") -
     Raises MeshError if neither a sheet nor a wall is found, or its facets are not oriented alike.
     """
     pieces = bodies(surface)
-    sheet = _wide_rims(pieces[0]) > 0
+    extent = float(np.linalg.norm(np.ptp(pieces[0].points, axis=0)))
+    sheet = sum(size > _WIDE * extent for _, size in open_rims(pieces[0])) > 0
     if sheet:
         face = pieces[0] if turned_inward(pieces[0]) else pieces[0].flipped()
         turned = 1.0 - _facing(face, line) @ face.areas / face.areas.sum()
@@ -67,11 +68,6 @@ def inner_face(surface: Triangles, line: CentreLine, *, where: str = "socket") -
     largest = max(float(each.areas.sum()) for each in parts)
     large = [each for each in parts if each.areas.sum() > 0.5 * largest]
     return min(large, key=lambda each: _distance(each, line))
-
-
-def _wide_rims(body: Triangles) -> int:
-    extent = float(np.linalg.norm(np.ptp(body.points, axis=0)))
-    return sum(size > _WIDE * extent for _, size in open_rims(body))
 
 
 def _facing(surface: Triangles, line: CentreLine) -> Array:

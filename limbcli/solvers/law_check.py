@@ -95,7 +95,8 @@ def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
     most = [k for k in np.argsort(-size) if small[k] and size[k] > _LOADED * size.max() > 0][:_CELLS]
     if not most:
         return None
-    stress = np.array([_voigt(cauchy_stress(laws[int(items[k])], F[k][None])[0]) for k in most])
+    stress = np.array([cauchy_stress(laws[int(items[k])], F[k][None])[0] for k in most])
+    stress = stress[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
     expected = _deviator(stress)
     scale = np.maximum(size[most], np.linalg.norm(expected, axis=1))
     return float(np.median(np.linalg.norm(deviator[most] - expected, axis=1) / scale))
@@ -104,7 +105,3 @@ def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
 def _deviator(stress: Array) -> Array:
     """Deviatoric part (n, 6): the mean of the first three components is subtracted from them."""
     return np.concatenate([stress[:, :3] - stress[:, :3].mean(axis=1, keepdims=True), stress[:, 3:]], axis=1)
-
-
-def _voigt(stress: Array) -> Array:
-    return stress[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]

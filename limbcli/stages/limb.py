@@ -142,7 +142,8 @@ def limb(
         layers, sources = limb_layers(case, layering, segmented, writer)
         field = _field(case, chain, skin, bones, frame, options, writer)
         stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa) if field is None else None
-        tube = _is_tube(segmented)
+        geometry = segmented.data.get("geometry")
+        tube = isinstance(geometry, Mapping) and geometry.get("kind") == _ASSUMED_TUBE
         places = _places(case, segmented, skin, writer)
         mesh_options = LimbMeshOptions(
             element=options.element or case.model.element, nodes=options.nodes, cut=options.cut,
@@ -250,11 +251,6 @@ def _write_draws(
         progress.event("task", name="limb: models of draws", done=n, total=len(numbers))
         drawn = model_of_draw(model, tissue, draws.draw(k), centroids)
         write_feb(drawn, writer.file(f"feb_draw_{k:02d}", f"limb_draw_{k:02d}.feb"), templates)
-
-
-def _is_tube(segmented: StageResult) -> bool:
-    geometry = segmented.data.get("geometry")
-    return isinstance(geometry, Mapping) and geometry.get("kind") == _ASSUMED_TUBE
 
 
 # ---------------------------------------------------------------- layers

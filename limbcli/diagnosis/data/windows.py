@@ -131,17 +131,14 @@ class Windows:
         window = Window(smoothing=self.smoothing, elevation=self.elevation, pixel=_PART_MM / _SUBDIVIDED)
         averages = pixel_averages(places, self.pixels, face_height=-depth, window=window)
         at, F = averages(rest), averages(gradient.reshape(-1, 9)).reshape(-1, 3, 3)
-        offsets, weight = self._blur()
+        # one pixel averages 27 quadrature points
+        sigma = self.smoothing / 2.355
+        offsets = np.array(list(product(_BLUR, _SLICE, _BLUR))) * (sigma, self.elevation, sigma)
+        weight = np.prod(list(product(_BLUR_WEIGHT, _SLICE_WEIGHT, _BLUR_WEIGHT)), axis=1)
         F = np.where(np.asarray(np.isfinite(F).all(axis=(1, 2)))[:, None, None], F, np.eye(3))
         back = np.linalg.solve(F, np.broadcast_to(offsets.T, (len(F), 3, len(offsets))))
         blurred = np.nan_to_num(at)[:, None, :] + np.swapaxes(back, 1, 2)
         return ScannerView(averages, Places(blurred, model), weight, self.log_means_of)
-
-    def _blur(self) -> tuple[Array, Array]:
-        """Offsets (27, 3) in mm and weights (27,) of the quadrature points that one pixel averages."""
-        sigma = self.smoothing / 2.355
-        offsets = np.array(list(product(_BLUR, _SLICE, _BLUR))) * (sigma, self.elevation, sigma)
-        return offsets, np.prod(list(product(_BLUR_WEIGHT, _SLICE_WEIGHT, _BLUR_WEIGHT)), axis=1)
 
     def log_means_of(self, speed_m_per_s: Array) -> Array:
         """ln of the mean speed of the whole and of every part (..., 1 + n_parts), from speeds at `pixels`

@@ -60,7 +60,9 @@ def hide(text: str) -> Hidden:
     model, readings = _MODELS.get(name), _READINGS.get(name)
     is_its_own = found.solves and not found.febio_only and found.kind != "numerical"
     if model is None and readings is None and not is_its_own:
-        raise _cannot(found)
+        own = ("adipose-layer", "inclusion", "nonlinearity", "contraction", "friction", "tilt")
+        fix = suggestion(found.name, [*_READINGS, *_MODELS, *own])
+        raise CaseError(f"{found.name} cannot be hidden in simulated data", where="--effect", fix=fix)
     in_model = None if readings else (lambda m: (model or found.apply)(m, theta))
     waves = found.waves
     return Hidden(
@@ -115,12 +117,6 @@ def _number(size: str, found: Effect) -> float:
             where="--effect", fix=f"for example {found.name}={first.typical:g}",
         )  # fmt: skip
     return value
-
-
-def _cannot(found: Effect) -> CaseError:
-    own = ("adipose-layer", "inclusion", "nonlinearity", "contraction", "friction", "tilt")
-    fix = suggestion(found.name, [*_READINGS, *_MODELS, *own])
-    return CaseError(f"{found.name} cannot be hidden in simulated data", where="--effect", fix=fix)
 
 
 # ---------------------------------------------------------------- in the tissue, otherwise parametrised
