@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Annotated, Any, ClassVar
 
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work
 from limbcli.api.stage_result import Result, one
 from limbcli.numbers.mesh_bounds import PENETRATION_MM, SOCKET_PENALTY, SOCKET_PENETRATION_MM, SOCKET_STEPS
 from limbcli.options import CASE, OUT, PROGRESS, TEMPLATES, WAIT, Option
@@ -87,7 +87,4 @@ def socket(
         align, donning_steps, load_steps, contact_penalty, penetration_mm, intervals
     )
     with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
-        return stage.socket(
-            work.case, out=work.out, options=options, templates=maybe_path(templates, "templates"),
-            progress=work.progress,
-        )  # fmt: skip
+        return work.run(stage.socket, options=options, templates=templates)

@@ -146,7 +146,4 @@ def limb(
         cohort=maybe_path(cohort, "cohort"), cohort_location=cohort_location,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress, images_only=True) as work:
-        return stage.limb(
-            work.case, out=work.out, options=options, templates=maybe_path(templates, "templates"),
-            progress=work.progress,
-        )  # fmt: skip
+        return work.run(stage.limb, options=options, templates=templates)

@@ -1,4 +1,4 @@
-"""report: present the results of all stages, or why a case cannot be read, on one page."""
+"""report: present the results of all stages on one page that can be read and printed."""
 
 from __future__ import annotations
 
@@ -8,12 +8,10 @@ from typing import Any
 
 from limbcli.case import Case
 from limbcli.config import templates_folder
-from limbcli.errors import LimbError
-from limbcli.errors.pasted_commands import pasted, typed
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import requested_of
-from limbcli.reporting.outcome import Failure, Outcome, problems_of
+from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Reportlet
@@ -125,23 +123,3 @@ def _lines(page: ReportData, name: str) -> dict[str, Any]:
                 "n_levels": line.n,
             }
     return found
-
-
-def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
-    """Write an `<out>/report/report.html` that shows why a case could not be opened.
-
-    One subject's unusable folder does not stop a batch; that subject still gets a page and a row in
-    the index.
-    """
-    shown = pasted(error, folder, out)
-    failure = Failure(type(shown).__name__, shown.what, shown.where, shown.fix, problems_of(shown.facts))
-    name = folder.resolve().name
-    with open_stage(out, "report", subject=name) as writer:
-        command = f"limbcli check {typed(folder)}"
-        facts = {"subject": name, "own": provenance(), "failure": failure, "command": command}
-        page = render("failure.html.j2", facts)
-        writer.file("page", PAGE_FILE).write_text(page, encoding="utf-8")
-        failures = [{"stage": "check", "site": None, **vars(failure)}]
-        writer.data.update(mood="failed", failures=failures, n_warnings=0, sites={})
-        writer.summary.append(f"the case cannot be used: {error.what}")
-    return writer.result
