@@ -24,52 +24,38 @@ def plus_product(builder, total, first, second):  # type: ignore[no-untyped-def]
     return builder.fadd(total, builder.fmul(first, second, flags=("contract",)), flags=("contract",))
 
 
+def _add_products(context, builder, signature, args):  # type: ignore[no-untyped-def]
+    rows = [_row(context, builder, signature.args[0], args[0], each) for each in args[1:]]
+    total, *factors = (builder.load(each, align=8) for each in rows)
+    for first, second in zip(factors[::2], factors[1::2], strict=True):
+        total = plus_product(builder, total, first, second)
+    builder.store(total, rows[0], align=8)
+    return context.get_dummy_value()
+
+
 @intrinsic
 def add_product(typingctx, w, to, a, b):  # type: ignore[no-untyped-def]
     """Row `to` += row a times row b."""
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        rows = [_row(context, builder, signature.args[0], args[0], each) for each in args[1:]]
-        values = [builder.load(each, align=8) for each in rows]
-        builder.store(plus_product(builder, *values), rows[0], align=8)
-        return context.get_dummy_value()
-
-    i = types.intp
-    return types.void(w, i, i, i), codegen
+    return types.void(w, *[types.intp] * 3), _add_products
 
 
 @intrinsic
 def add_three(typingctx, w, to, a0, b0, a1, b1, a2, b2):  # type: ignore[no-untyped-def]
     """Row `to` = row `to` + a0 b0 + a1 b1 + a2 b2."""
+    return types.void(w, *[types.intp] * 7), _add_products
 
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        rows = [_row(context, builder, signature.args[0], args[0], each) for each in args[1:]]
-        values = [builder.load(each, align=8) for each in rows]
-        total = values[0]
-        for k in (1, 3, 5):
-            total = plus_product(builder, total, values[k], values[k + 1])
-        builder.store(total, rows[0], align=8)
-        return context.get_dummy_value()
 
-    i = types.intp
-    return types.void(w, *[i] * 7), codegen
+def _recast(kind):  # type: ignore[no-untyped-def]
+    return lambda context, builder, signature, args: builder.bitcast(args[0], kind)
 
 
 @intrinsic
 def bits(typingctx, x):  # type: ignore[no-untyped-def]
     """The bits of a number as an integer."""
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.bitcast(args[0], ir.IntType(64))
-
-    return types.int64(types.float64), codegen
+    return types.int64(types.float64), _recast(ir.IntType(64))
 
 
 @intrinsic
 def from_bits(typingctx, n):  # type: ignore[no-untyped-def]
     """The number with these bits."""
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        return builder.bitcast(args[0], ir.DoubleType())
-
-    return types.float64(types.int64), codegen
+    return types.float64(types.int64), _recast(ir.DoubleType())
