@@ -36,7 +36,8 @@ def penalties(
             mine = patch.group == k
             if mine.any():
                 program = group.material.program(len(group.cells), curve)
-                E = _moduli(program, patch.cell[mine], patch.normals[mine]) * _stiffening(group, dt)
+                CC = _identity_tangent(program, patch.cell[mine])
+                E = penalty_modulus(CC, patch.normals[mine]) * _stiffening(group, dt)
                 eps[mine] *= E * patch.ratio[mine]
     return eps
 
@@ -47,14 +48,6 @@ def _stiffening(group: Group, dt: float) -> float:
         return 1.0
     g0, terms = group.material.prony
     return g0 + sum(g * -np.expm1(-dt / t) * t / dt for g, t in terms)
-
-
-def _moduli(program: Program, cells: IntArray, normals: Array) -> Array:
-    par = program.par if len(program.par) == 1 else program.par[cells]
-    F = np.repeat(np.eye(3)[None], len(cells), axis=0)
-    S, CC = np.zeros((len(cells), 6)), np.zeros((len(cells), 6, 6))
-    _evaluate(F, program.ops, par, S, CC, True)
-    return penalty_modulus(CC, normals)
 
 
 def penalty_derivative(
