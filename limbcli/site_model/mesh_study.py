@@ -21,8 +21,7 @@ from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
 from limbcli.site_model.indentation_model import indentation_model, starting_depth
-from limbcli.site_model.mesh_inputs import MeshInputs
-from limbcli.site_model.segmented_limb import site_position
+from limbcli.site_model.segmented_limb import MeshInputs, site_position
 from limbcli.site_model.site_layers import layer_laws, layers_in, with_layer_laws
 from limbcli.site_model.site_levels import levels_of
 from limbcli.solvers.session import ReferenceSession

@@ -37,9 +37,8 @@ from limbcli.site_model.mesh_checks import (
     measured_skin_bone,
     moved_warnings,
 )
-from limbcli.site_model.mesh_inputs import MeshInputs
 from limbcli.site_model.mesh_study import study_site
-from limbcli.site_model.segmented_limb import read_limb, site_position
+from limbcli.site_model.segmented_limb import MeshInputs, read_limb, site_position
 from limbcli.site_model.site_layers import (
     Layering,
     Thickness,

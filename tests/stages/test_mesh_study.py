@@ -16,7 +16,6 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.results import open_stage, read_result
 from limbcli.site_model import mesh_study
-from limbcli.site_model.mesh_inputs import MeshInputs
 from limbcli.site_model.mesh_study import (
     StudiedTissue,
     full_depth,
@@ -24,6 +23,7 @@ from limbcli.site_model.mesh_study import (
     studied_tissue,
     study_site,
 )
+from limbcli.site_model.segmented_limb import MeshInputs
 
 CASE = """format = 1
 [subject]

@@ -16,7 +16,7 @@ from limbcli.materials import Compiled, Program, compile_material
 from limbcli.materials.laws import is_three_field
 from limbcli.materials.program import CurveAt, jumping
 from limbcli.materials.simd import LANES
-from limbcli.materials.stress import _evaluate
+from limbcli.materials.stress import tangents_at_rest
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
 _NO_HISTORY = np.zeros((0, 1, 6))
@@ -61,9 +61,7 @@ class Group:
     def _moduli(self, program: Program) -> tuple[Array, Array]:
         """Lame's lambda (pressure per volume change) and mu of the complete law at F = 1, (1 or n_cells,)."""
         if self._cache.get("lame_of") is not program:
-            F = np.repeat(np.eye(3)[None], len(program.par), axis=0)
-            S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
-            _evaluate(F, program.ops, program.par, S, CC, True)
+            CC = tangents_at_rest(program)
             self._cache["lame"] = (CC[:, 0, 1] + CC[:, 1, 2] + CC[:, 0, 2]) / 3.0
             self._cache["shear"] = (CC[:, 3, 3] + CC[:, 4, 4] + CC[:, 5, 5]) / 3.0
             self._cache["lame_of"] = program
