@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,17 @@ _SWE_HALF_WIDTH, _SWE_HALF_THICKNESS, _SWE_DEPTH = 20.0, 12.0, 32.0
 _FEWEST_TOUCHING = 12
 _FLAT = 1e-6
 _CONTACT_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6
+
+
+@dataclass(frozen=True)
+class TissueLaw:
+    """c (MPa), f_kappa and m of a tissue (means, where they vary), their source in words, the sites used."""
+
+    c: float = 0.008
+    f_kappa: float = 100.0
+    m: float = 2.0
+    source: str = "assumed"
+    sites: tuple[str, ...] = ()
 
 
 def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: float, m: float) -> LimbModel:

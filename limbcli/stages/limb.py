@@ -42,7 +42,7 @@ from limbcli.provenance.chain_inputs import note_templates, noted
 from limbcli.provenance.requested_options import requested_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.site_model.indentation_model import TISSUE
+from limbcli.site_model.indentation_model import TISSUE, TissueLaw
 from limbcli.site_model.segmented_limb import named_surfaces, note_segmented, site_position
 from limbcli.site_model.site_layers import (
     Layering,
@@ -57,7 +57,6 @@ from limbcli.stages.limb_field.limb_force import as_on_limb, contradicting_force
 from limbcli.stages.limb_model.element_values import (
     F_KAPPA,
     ElementValues,
-    LimbStiffness,
     M,
     columns_of,
     element_values,
@@ -412,7 +411,7 @@ def _body(name: str) -> str:
 
 def _report(
     writer: StageWriter, found: LimbMesh, model: LimbModel, parts: LimbParts, frame: LimbFrame,
-    stiffness: LimbStiffness, values: ElementValues,
+    stiffness: TissueLaw, values: ElementValues,
 ) -> None:  # fmt: skip
     mesh = model.mesh
     cells = np.concatenate([each.cells for each in mesh.solid_blocks])
