@@ -26,8 +26,7 @@ from limbcli.inference.prediction import Differences, Prediction
 from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import mean_speeds
-from limbcli.site_model.indentation_model import TISSUE, with_penalty, with_tissue
-from limbcli.site_model.model_simplification import softer_jumps
+from limbcli.site_model.indentation_model import TISSUE, softer_jumps, with_penalty, with_tissue
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines

@@ -19,8 +19,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves import ogden
 from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.shear_waves.speed import material_speeds
-from limbcli.site_model.indentation_model import TISSUE
-from limbcli.site_model.model_simplification import softer_jumps
+from limbcli.site_model.indentation_model import TISSUE, softer_jumps
 from limbcli.site_model.prestretch import (
     WAYS,
     StretchAxes,

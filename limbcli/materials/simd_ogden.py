@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.materials.elementary import expm1, log, series_log
 from limbcli.materials.simd import (
     ALPHA,
     BETA,
@@ -32,6 +31,9 @@ from limbcli.materials.simd import (
     S,
     X,
     add_product,
+    expm1,
+    log,
+    series_log,
 )  # fmt: skip
 from limbcli.materials.tensors import FIRST, SECOND
 from limbcli.numbers.compiled import njit

@@ -51,11 +51,11 @@ from limbcli.site_model.indentation_model import (
     starting_depth,
     with_penalty,
 )
-from limbcli.site_model.limb_under_probe import limb_forces
 from limbcli.site_model.mesh_study import TissueLaw, full_depth, reference_force
 from limbcli.site_model.segmented_limb import named_surfaces, site_position
 from limbcli.site_model.site_layers import layer_laws, layers_in, with_layer_laws
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.limb_field.limb_force import limb_forces
 from limbcli.stages.limb_field.site_results import region_of_site
 from limbcli.stages.mesh import MeshRequest, mesh_options
 from tests.meshing.test_limb_twin import with_probe

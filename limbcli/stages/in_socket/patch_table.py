@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -19,35 +19,8 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.sockets.donning import SocketState
+from limbcli.stages.in_socket.intervals import QUANTITIES, WHOLE, Interval, PatchPressure
 from limbcli.stages.in_socket.limb_in_socket import PATCH, LimbInSocket, lateral_of
-
-WHOLE = "skin"  # name of the row of the whole skin
-QUANTITIES = ("contact_area_mm2", "mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa", "peak_shear_kpa")
-
-Interval = tuple[float, float]
-
-
-@dataclass(frozen=True, kw_only=True)
-class PatchPressure:
-    """A patch of the skin under one load; `load_n` 0: after donning; patch "skin": all of it.
-
-    Attributes
-    ----------
-    area_mm2 : at rest
-    contact_area_mm2 : current area of its facets under pressure
-    mean_kpa, p95_kpa, mean_shear_kpa : over the area in contact
-    peak_kpa, peak_shear_kpa : largest mean over one facet
-    """
-
-    load_n: float
-    patch: str
-    area_mm2: float
-    contact_area_mm2: float
-    mean_kpa: float
-    p95_kpa: float
-    peak_kpa: float
-    mean_shear_kpa: float
-    peak_shear_kpa: float
 
 
 def patch_masks(limb: LimbModel) -> dict[str, NDArray[np.bool_]]:
