@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numba import njit
 
-from limbcli.materials import elementary
+from limbcli.materials import simd as elementary
 
 
 @njit
