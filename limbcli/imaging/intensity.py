@@ -64,14 +64,8 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     are determined alternately (the idea of Wells et al. 1996, IEEE TMI 15:429, with hard classes). Dark
     voxels (cortex, vessels, air) are excluded.
 
-    Parameters
-    ----------
     volume : image with k along the limb
     limb : bool array, the limb's rough outline
-
-    Returns
-    -------
-    TissueIntensities
     """
     step = np.maximum(1, np.round(_WORK_SPACING / volume.spacing)).astype(int)
     coarse = _block_mean(volume.values, step)

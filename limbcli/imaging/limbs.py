@@ -36,10 +36,7 @@ def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = Non
 
     side : "left" or "right" of the patient; required if two limbs are in view
 
-    Raises
-    ------
-    CaseError
-        Two limbs in view and no side given, or more than two limbs.
+    Raises CaseError for two limbs in view and no side given, or more than two limbs.
     """
     level = background_threshold(volume.values) if threshold is None else threshold
     sigma = 1.0 / volume.spacing

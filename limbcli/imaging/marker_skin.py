@@ -24,9 +24,8 @@ _LARGEST_MOVE = 4.0  # mm: a larger displacement of the skin is not due to a mar
 def without_bumps(skin: Triangles, markers: Sequence[MarkerCapsule]) -> tuple[Triangles, list[float]]:
     """The skin with each marker's footprint projected onto a quadric fitted to the surrounding skin.
 
-    Returns
-    -------
-    surface with the same triangles; mm by which the skin at each marker was lowered (negative: raised)
+    Returns the surface with the same triangles; mm by which the skin at each marker was lowered (negative:
+    raised)
     """
     points = skin.points.copy()
     normals = skin.point_normals

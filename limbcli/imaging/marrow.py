@@ -49,15 +49,9 @@ def find_marrow(
     bone. Starting from them, the marrow is tracked through the other slices, where cortex has thinned to a
     faint line, up to its ends.
 
-    Parameters
-    ----------
     intensities, limb : normalised image and limb mask, k along the limb
     spacing : mm
     seeds : voxel indices (n, 3) inside marrow, each a bone of its own or part of one that was found
-
-    Returns
-    -------
-    list of bool arrays
     """
     smooth = ndimage.gaussian_filter(intensities.values, [0.34 / spacing[0], 0.34 / spacing[1], 0])
     parts = np.zeros(limb.shape, np.int32)

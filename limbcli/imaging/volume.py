@@ -78,9 +78,7 @@ class Volume:
     def along_limb(self) -> tuple[Volume, tuple[int, ...], bool]:
         """The image with k along the limb, increasing towards proximal (the head).
 
-        Returns
-        -------
-        volume, the order of axes, and whether k was reversed; `back` undoes it.
+        Returns the volume, the order of axes, and whether k was reversed; `back` undoes it.
 
         >>> values = np.arange(24).reshape(2, 3, 4)
         >>> coronal = Volume(values, np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))

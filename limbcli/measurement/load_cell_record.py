@@ -73,9 +73,7 @@ class RecordingFormat:
 def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     """Read a load-cell record of any of the usual formats.
 
-    Returns
-    -------
-    Trace in our units, time from the file.
+    Returns the trace in our units, time from the file.
 
     Raises MeasurementError if it is a binary file, a row cannot be read, a column is missing or duplicated, a
     cell is not a number, a unit is not known or contradicts case.toml, time does not increase or cannot be in

@@ -120,15 +120,11 @@ def acoustic_tensor(
 ) -> Array:
     """J times the acoustic tensor, Q_ik = J (c_ijkl + sigma_jl delta_ik) n_j n_l.
 
-    Parameters
-    ----------
     deformation_gradient : (n_points, 3, 3), det > 0
     direction : (3,) or (n_points, 3), unit, in the deformed tissue
     volumetric : include the contribution of kappa; not needed for shear waves
 
-    Returns
-    -------
-    (n_points, 3, 3) MPa; its eigenvalues are rho0 v^2.
+    Returns (n_points, 3, 3) MPa; its eigenvalues are rho0 v^2.
 
     Raises MeasurementError if a deformation gradient is not finite or has a non-positive determinant.
     """

@@ -25,15 +25,10 @@ def inner_face(surface: Triangles, line: CentreLine, *, where: str = "socket") -
     Of a wall, the largest connected part that faces the limb's centre line; where a wall has several such
     parts (an inner and an outer shell), that nearest to it.
 
-    Parameters
-    ----------
     surface : mm, aligned with the limb
     line : centre line of the limb
 
-    Returns
-    -------
-    Triangles
-        With normals towards the limb.
+    Returns triangles with normals towards the limb.
 
     Raises MeshError if neither a sheet nor a wall is found, or its facets are not oriented alike.
     """

@@ -126,8 +126,6 @@ class NodeTable:
 class SiteSimulations:
     """Curves of one site on one working mesh.
 
-    Parameters
-    ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
     reach : how far to simulate. Where the solver stops short of the depth needed, but beyond enough of it,
         curves are extrapolated along those of a stiffer law, or of the model without effects
