@@ -30,7 +30,15 @@ def with_cortex(
     """
     in_plane = spacing[:2]
     values = ndimage.gaussian_filter(intensities.values, [0.25 / spacing[0], 0.25 / spacing[1], 0])
-    dark, dip = _dark(values, limb, spacing)
+    # Darker than half the nearby tissue; in a local minimum, which also detects a wall thinner than a voxel,
+    # whose edge is half way between its own minimum and the tissue.
+    reach = [max(1, round(_NEARBY / each)) for each in spacing[:2]]
+    x, y = np.mgrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
+    footprint = ((x / reach[0]) ** 2 + (y / reach[1]) ** 2 <= 1)[:, :, None]
+    beside = np.clip(ndimage.grey_dilation(values, footprint=footprint), *_EDGE)
+    darkest = np.clip(ndimage.grey_erosion(values, footprint=footprint), 0.0, None)
+    dark = (values < 0.5 * beside) & limb
+    dip = (values < 0.5 * (beside + darkest)) & (darkest < _WALL) & limb
     bone = np.zeros_like(marrow)
     slices = np.flatnonzero(marrow.any(axis=(0, 1)))
     for k in slices.tolist():
@@ -40,24 +48,6 @@ def with_cortex(
         bone[:, :, k][window] = _shell(here[window], values[:, :, k][window], walls, intensities, in_plane)
     _add_caps(bone, dark, (int(slices[0]), int(slices[-1])), spacing)
     return evened(bone, spacing)
-
-
-def _dark(
-    values: NDArray[np.float32], limb: NDArray[np.bool_], spacing: Array
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Masks of voxels darker than half the nearby tissue, and of voxels in a local minimum.
-
-    The second also detects a wall thinner than a voxel, whose edge is half way between its own minimum and
-    the tissue.
-    """
-    reach = [max(1, round(_NEARBY / each)) for each in spacing[:2]]
-    x, y = np.mgrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
-    footprint = ((x / reach[0]) ** 2 + (y / reach[1]) ** 2 <= 1)[:, :, None]
-    beside = np.clip(ndimage.grey_dilation(values, footprint=footprint), *_EDGE)
-    darkest = np.clip(ndimage.grey_erosion(values, footprint=footprint), 0.0, None)
-    dark = (values < 0.5 * beside) & limb
-    dip = (values < 0.5 * (beside + darkest)) & (darkest < _WALL) & limb
-    return dark, dip
 
 
 def _shell(

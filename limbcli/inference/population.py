@@ -292,7 +292,16 @@ def _errors(
     scores = np.concatenate([pulled, apart * pulled - 1.0], axis=2)  # complete data, by draw and row
     own = np.einsum("dn,dni->ni", weights, scores)
     lost = np.einsum("dn,dni,dnj->ij", weights, scores - own, scores - own)
-    complete = _complete_information(apart, weights, precision, prior / np.outer(deviation, deviation))
+    # information matrix (2 p, 2 p) of the complete data (rows whose parameters are observed), including the
+    # prior on the spread
+    p = len(precision)
+    summed = np.einsum("dn,dni->i", weights, apart)
+    squares = np.einsum("dn,dni,dnj->ij", weights, apart, apart) + (prior / np.outer(deviation, deviation))
+    complete = np.empty((2 * p, 2 * p))
+    complete[:p, :p] = apart.shape[1] * precision
+    complete[:p, p:] = precision * summed + np.diag(precision @ summed)
+    complete[p:, :p] = complete[:p, p:].T
+    complete[p:, p:] = squares * precision + np.diag(np.diag(precision @ squares))
     information, ways = np.linalg.eigh(complete - lost)
     errors = (ways / np.maximum(information, _LEAST_INFORMATION)) @ ways.T
     variance = np.diag(errors)
@@ -303,20 +312,6 @@ def _errors(
         scatter = together.T @ together * len(together) / max(len(together) - 1, 1)
         variance = np.maximum(variance, np.diag(errors @ scatter @ errors))
     return np.asarray(np.sqrt(variance))
-
-
-def _complete_information(apart: Array, weights: Array, precision: Array, prior: Array) -> Array:
-    """Information matrix (2 p, 2 p) of the complete data (rows whose parameters are observed), including the
-    prior on the spread."""
-    p = len(precision)
-    summed = np.einsum("dn,dni->i", weights, apart)
-    squares = np.einsum("dn,dni,dnj->ij", weights, apart, apart) + prior
-    out = np.empty((2 * p, 2 * p))
-    out[:p, :p] = apart.shape[1] * precision
-    out[:p, p:] = precision * summed + np.diag(precision @ summed)
-    out[p:, :p] = out[:p, p:].T
-    out[p:, p:] = squares * precision + np.diag(np.diag(precision @ squares))
-    return out
 
 
 def _rows(

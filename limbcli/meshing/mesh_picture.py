@@ -141,23 +141,19 @@ def fibre_picture(
     middles = mesh.points[block.cells].mean(axis=1)
     for panel, axis in ((left, 1), (right, 0)):
         draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0, sides=sides)
-        _draw_axes(panel, middles, axes, axis)
+        # draw one line every few millimetres, as long as the fibre's projection on the section
+        across = 1 - axis
+        near = np.flatnonzero(np.abs(middles[:, axis]) <= _SLICE)
+        places = middles[near][:, [across, 2]]
+        _, first = np.unique(np.floor(places / _SPACING), axis=0, return_index=True)
+        chosen, at = near[first], places[first]
+        half = _HALF_LENGTH * axes[chosen][:, [across, 2]]
+        lines = np.stack([at - half, at + half], axis=1)
+        panel.add_collection(LineCollection(list(lines), colors=_FIBRES, linewidths=1.3))
+        panel.plot(*at.T, ".", ms=2.0, color=_FIBRES)
         panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")
     put_title(figure, title)
     save_picture(figure, path, dpi=143)
-
-
-def _draw_axes(panel: Any, middles: Array, axes: Array, axis: int) -> None:
-    """Draw one line every few millimetres, as long as the fibre's projection on the section."""
-    across = 1 - axis
-    near = np.flatnonzero(np.abs(middles[:, axis]) <= _SLICE)
-    places = middles[near][:, [across, 2]]
-    _, first = np.unique(np.floor(places / _SPACING), axis=0, return_index=True)
-    chosen, at = near[first], places[first]
-    half = _HALF_LENGTH * axes[chosen][:, [across, 2]]
-    lines = np.stack([at - half, at + half], axis=1)
-    panel.add_collection(LineCollection(list(lines), colors=_FIBRES, linewidths=1.3))
-    panel.plot(*at.T, ".", ms=2.0, color=_FIBRES)
 
 
 def study_picture(

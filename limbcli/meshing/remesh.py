@@ -99,7 +99,9 @@ def size_field(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Siz
         limit = np.minimum(limit, 1.4 * thickness + 0.3)
         limit = np.minimum(limit, _cleft_limit(domain, sizes.far))
         limit = np.maximum(limit, min(sizes.thin, sizes.far))
-    sag = _chord_error(domain, probes)
+    # deviation (mm) from the true surface: small under the probes, of a whole limb at most twice that
+    sag = 0.25 + 0.03 * distance_to_faces(probes, domain.skin.grid.points())
+    sag = np.minimum(sag, 2 * 0.25) if domain.whole else sag
     for field in (domain.skin, domain.bone):
         if field is not None:
             limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
@@ -115,15 +117,6 @@ def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.boo
     for plane in domain.planes:
         keep &= points @ plane.normal - plane.offset < -inside
     return keep
-
-
-def _chord_error(
-    domain: TissueDomain, probes: tuple[PlacedProbe, ...], *, near: float = 0.25, growth: float = 0.03
-) -> Array:
-    """Permitted deviation (mm) of facets from the true surface: small under the probes, larger far away; of a
-    whole limb at most twice that under them."""
-    sag = near + growth * distance_to_faces(probes, domain.skin.grid.points())
-    return np.minimum(sag, 2 * near) if domain.whole else sag
 
 
 def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
@@ -272,7 +265,13 @@ def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: i
             moved = put_back(relax(points, faces, labels, ranks, field.at(points)), constraints, domain)
             points = keep_unfolded(points, moved, faces)
     for _ in range(4):  # collapse the edges that became too short when nodes moved along the features
-        labels = _without_ears(points, faces, labels, domain)
+        # faces of skin or bone whose three nodes lie in a cut belong to it: as skin they would constrain
+        # three nodes to the cut's edge where two suffice
+        out = labels.copy()
+        for k, plane in enumerate(domain.planes):
+            inside = (np.abs(plane.height(points)) < 1e-3)[faces].all(axis=1)
+            out[inside & (labels < CUT)] = CUT + k
+        labels = out
         if not _crowded(points, faces, field):
             break
         ranks, _ = _ranks(points, faces, labels)
@@ -288,18 +287,6 @@ def _crowded(points: Array, faces: IntArray, field: SizeField) -> bool:
     edges, _ = edges_of(faces)
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     return bool((length < _CROWDED * field.at(points)[edges].mean(axis=1)).any())
-
-
-def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: TissueDomain) -> IntArray:
-    """Relabel faces of skin or bone whose three nodes lie in a cut as belonging to the cut.
-
-    As skin they would constrain three nodes to the cut's edge where two suffice.
-    """
-    out = labels.copy()
-    for k, plane in enumerate(domain.planes):
-        inside = (np.abs(plane.height(points)) < 1e-3)[faces].all(axis=1)
-        out[inside & (labels < CUT)] = CUT + k
-    return out
 
 
 def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, NodeConstraints]:

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap
@@ -121,7 +120,14 @@ def level_maps(
         depth = float(depths[row]) if row != AT_REST else 0.0
         positions, F = states.at(int(row))
         own = pixels[k] if pixels is not None else None
-        near = _near(positions, depth, window, own)
+        # the points within reach of any pixel
+        half, deep = window.half_width, window.depth_to
+        if own is not None:
+            half, deep = float(np.abs(own[0]).max()), float(own[1].max())
+        reach = 2 * window.smoothing + 6.0
+        near = np.abs(positions[:, 0]) <= half + reach
+        near &= np.abs(positions[:, 1]) <= window.slice_reach
+        near &= positions[:, 2] >= -depth - deep - reach
         speed = element_speeds(model, F[near], states.items[near], density_kg_per_m3=density_kg_per_m3)
         maps.append(predict_map(positions[near], speed, face_height=-depth, window=window, pixels=own))
     return maps
@@ -154,16 +160,3 @@ def _not_recorded(what: str) -> MeasurementError:
         fix="run it again with limbcli's templates: they request elements under the probe, and all "
         "displacements",
     )
-
-
-def _near(
-    positions: Array, depth: float, window: Window, pixels: tuple[Array, Array] | None
-) -> NDArray[np.bool_]:
-    """The points within reach of any pixel."""
-    half, deep = window.half_width, window.depth_to
-    if pixels is not None:
-        half, deep = float(np.abs(pixels[0]).max()), float(pixels[1].max())
-    reach = 2 * window.smoothing + 6.0
-    near = np.abs(positions[:, 0]) <= half + reach
-    near &= np.abs(positions[:, 1]) <= window.slice_reach
-    return near & (positions[:, 2] >= -depth - deep - reach)

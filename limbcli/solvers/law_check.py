@@ -44,7 +44,16 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
 
     Raises SolveError if the median deviation from the law exceeds 3 %.
     """
-    laws = _laws_by_cell(model)
+    # the laws of the cells that can be checked, by cell number counted over all blocks
+    of_block = {each.block: each for each in model.domains}
+    laws: dict[int, Material] = {}
+    start = 0
+    for block in model.mesh.blocks:
+        domain = of_block.get(block.name)
+        law = model.materials[domain.material] if domain is not None else None
+        if law is not None and domain is not None and domain.rule is None and _is_plain(law):
+            laws.update(dict.fromkeys(range(start, start + len(block.cells)), law))
+        start += len(block.cells)
     for name, table in elements.items():
         off = _deviation(table, laws) if _has_stress(table) else None
         if off is not None and off > _TOLERANCE:
@@ -56,20 +65,6 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
                 "run`); check which program --febio names",
                 deviation=off,
             )
-
-
-def _laws_by_cell(model: LimbModel) -> dict[int, Material]:
-    """The laws of the cells that can be checked, by cell number counted over all blocks."""
-    of_block = {each.block: each for each in model.domains}
-    found: dict[int, Material] = {}
-    start = 0
-    for block in model.mesh.blocks:
-        domain = of_block.get(block.name)
-        law = model.materials[domain.material] if domain is not None else None
-        if law is not None and domain is not None and domain.rule is None and _is_plain(law):
-            found.update(dict.fromkeys(range(start, start + len(block.cells)), law))
-        start += len(block.cells)
-    return found
 
 
 def _is_plain(law: Material) -> bool:

@@ -123,7 +123,15 @@ def measure_sites(
 
     Raises CaseError if the fitted mesh is to be used, but another element type or other sizes are given.
     """
-    _refuse_unheard(options)
+    # these have no effect when the fitted mesh is used
+    usual, names = SynthOptions(), ("size", "far_size", "margin")
+    if options.same_mesh and any(getattr(options, each) != getattr(usual, each) for each in names):
+        raise CaseError(
+            "mesh sizes are given, but no mesh is made",
+            where="--same-mesh",
+            fix="omit --size-mm, --far-size-mm and --margin-mm, or omit --same-mesh; `limbcli "
+            "mesh` sets those of the mesh that is fitted",
+        )
     numbers = {each.name: k for k, each in enumerate(case.sites)}
     with scratch_folder() as scratch:
         _segmented(case, out, progress)
@@ -135,18 +143,6 @@ def measure_sites(
             for site in sites
             for each in _measure_site(case, site, folder, options, numbers[site.name], progress)
         ]
-
-
-def _refuse_unheard(options: SynthOptions) -> None:
-    """Refuse mesh options that have no effect when the fitted mesh is used."""
-    usual, names = SynthOptions(), ("size", "far_size", "margin")
-    if options.same_mesh and any(getattr(options, each) != getattr(usual, each) for each in names):
-        raise CaseError(
-            "mesh sizes are given, but no mesh is made",
-            where="--same-mesh",
-            fix="omit --size-mm, --far-size-mm and --margin-mm, or omit --same-mesh; `limbcli "
-            "mesh` sets those of the mesh that is fitted",
-        )
 
 
 def _segmented(case: Case, out: Path, progress: Progress) -> None:

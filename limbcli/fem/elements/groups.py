@@ -182,7 +182,16 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     compiled = compile_material(model.materials[domain.material], domain.material)
     points, weights = rule(_rule(domain, block))
     grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, (points, weights))
-    check_volumes(model, block, first, weight)
+    bad = np.flatnonzero((weight <= 0).any(axis=1) | ~np.isfinite(weight).all(axis=1))
+    if len(bad):
+        x, y, z = model.mesh.points[block.cells[bad[0]]].mean(axis=0)
+        name = f"element {model.mesh.cell_id(first + int(bad[0]))}"
+        raise MeshError(
+            f"{len(bad)} cells of block {block.name!r} are inverted or flat before any load",
+            where=f"{name}, near ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+            fix="remesh, or turn the node order of these cells",
+            n_cells=len(bad),
+        )
     cells = np.ascontiguousarray(block.cells, dtype=np.int64)
     if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write out of bounds
         raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
@@ -214,23 +223,6 @@ def _rule(domain: Domain, block: Block) -> str:
             fix=f"use one of {', '.join(known)}, or run FEBio",
         )
     return "TET10G4" if domain.rule == "TET10G4" else block.kind
-
-
-def check_volumes(model: LimbModel, block: Block, first: int, weight: Array) -> None:
-    """Raise MeshError if a cell has no positive volume in the reference configuration.
-
-    first : number of the block's first cell, counted over all blocks
-    """
-    bad = np.flatnonzero((weight <= 0).any(axis=1) | ~np.isfinite(weight).all(axis=1))
-    if len(bad):
-        x, y, z = model.mesh.points[block.cells[bad[0]]].mean(axis=0)
-        name = f"element {model.mesh.cell_id(first + int(bad[0]))}"
-        raise MeshError(
-            f"{len(bad)} cells of block {block.name!r} are inverted or flat before any load",
-            where=f"{name}, near ({x:.1f}, {y:.1f}, {z:.1f}) mm",
-            fix="remesh, or turn the node order of these cells",
-            n_cells=len(bad),
-        )
 
 
 Curves = Callable[[str], float]
