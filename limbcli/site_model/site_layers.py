@@ -112,8 +112,8 @@ class Layering:
     ) -> tuple[tuple[Layer, ...], dict[str, ThicknessSource]]:
         """The layers of one site, outermost first, and the source of each thickness.
 
-        Without a skin layer, fat begins at the surface; its thickness from images then includes the skin's, so
-        that the border to the muscle is where the images show it.
+        Without a skin layer, fat begins at the surface; its thickness from images then includes the skin's,
+        so that the border to the muscle is where the images show it.
 
         Raises CaseError if a thickness cannot be used, or the images do not give it.
         """
