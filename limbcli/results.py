@@ -70,17 +70,7 @@ class StageResult:
         return found
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "format": FORMAT,
-            "stage": self.stage,
-            "subject": self.subject,
-            "site": self.site,
-            "files": dict(self.files),
-            "data": plain(self.data),
-            "summary": list(self.summary),
-            "warnings": list(self.warnings),
-            "provenance": plain(self.provenance),
-        }
+        return {"format": FORMAT} | plain({k: v for k, v in vars(self).items() if k != "folder"})
 
 
 def stage_folder(out: Path, stage: str, site: str | None = None) -> Path:

@@ -200,8 +200,8 @@ def _report(
         {
             "element": options.element,
             "mesher": found.maker,
-            "quality": figures.to_json(),
-            "checks": checks.to_json(),
+            "quality": vars(figures),
+            "checks": vars(checks),
             "mending": [*limb.notes, *found.notes],
             "frame": {
                 "skin_point_mm": frame.skin_point, "normal": frame.normal, "long_axis": frame.long_axis,

@@ -10,7 +10,15 @@ from typing import Any
 from limbcli.errors import LimbcliError, LimbError
 from limbcli.errors.pasted_commands import pasted, typed
 from limbcli.files.atomic import atomic_file
-from limbcli.results import ERROR_FILE, StageResult, error_json, open_stage, provenance, stage_folder
+from limbcli.results import (
+    ERROR_FILE,
+    StageResult,
+    error_json,
+    open_stage,
+    plain,
+    provenance,
+    stage_folder,
+)
 
 _KEPT = ("segment",)  # result is kept on failure, as it shows whether the label map has been edited since
 
@@ -86,17 +94,10 @@ class CaseOutcome:
         self.report = part.report or self.report
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "case": str(self.case),
-            "out": str(self.out),
-            "ran": self.ran,
-            "fresh": self.fresh,
-            "kept": self.kept,
-            "failures": [
-                {"stage": each.stage, "site": each.site, **error_json(each.error)} for each in self.failures
-            ],
-            "report": str(self.report) if self.report else None,
-        }
+        failed = [
+            {"stage": each.stage, "site": each.site, **error_json(each.error)} for each in self.failures
+        ]
+        return {k: plain(v) for k, v in vars(self).items() if k != "begun"} | {"failures": failed}
 
 
 def keep_error(
