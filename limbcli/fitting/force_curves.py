@@ -45,15 +45,6 @@ def _times(c: float | ElementMap, factor: float) -> float | ElementMap:
     return replace(c, values=factor * c.values) if isinstance(c, ElementMap) else factor * c
 
 
-def level_times(model: LimbModel) -> Array:
-    """Times of the model's must-points, from the start of the analysis: (n_levels,)."""
-    times, start = [], 0.0
-    for step in model.steps:
-        times += [start + each for each in step.must_points]
-        start += step.n_steps * step.step_size
-    return np.array(times)
-
-
 def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
     """Rows of `values` (n_times, ...) at the level times. Raises SolveError if a level was not reached."""
     nearest = np.abs(simulation.times[None, :] - times[:, None]).argmin(axis=1)
@@ -260,7 +251,12 @@ class FileCurve:
     ):
         self._solver, self._model, self._c = solver, model, c
         self._limit = time_limit_s
-        self._times = level_times(model)
+        # times of the model's must-points, from the start of the analysis
+        times, start = [], 0.0
+        for step in model.steps:
+            times += [start + each for each in step.must_points]
+            start += step.n_steps * step.step_size
+        self._times = np.array(times)
         self.depths: Array = np.zeros(0)
 
     def __call__(self, theta: Array) -> Array:

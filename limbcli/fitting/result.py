@@ -70,7 +70,11 @@ def write_result(
         writer.data["most_likely"] = dict(
             zip(("c_kpa", *NAMES), (kpa_from_mpa(float(best.best[0])), *best.best[1:3]), strict=True)
         )
-        _warn_unsolved(best, writer)
+        for theta in best.unsolved:
+            writer.warnings.append(
+                f"no simulation converged at f_kappa {theta[0]:.3g}, m {theta[1]:.3g}: "
+                "the intervals stop before it and are marked open there"
+            )
     write_curves(found, writer.file("curves", "curves.csv"))
     rows = [
         row for name, each in tables.items() for row in parameter_rows(site.name, name, each["parameters"])
@@ -101,14 +105,6 @@ def widening(before: Mapping[str, Sequence[float | None]]) -> str:
         for name, (low, high) in before.items() if low is not None and high is not None
     ]  # fmt: skip
     return f"with noise and mesh alone the 95 % interval would be {', '.join(parts)}" if parts else ""
-
-
-def _warn_unsolved(best: Intervals, writer: StageWriter) -> None:
-    for theta in best.unsolved:
-        writer.warnings.append(
-            f"no simulation converged at f_kappa {theta[0]:.3g}, m {theta[1]:.3g}: "
-            "the intervals stop before it and are marked open there"
-        )
 
 
 def write_curves(found: Identified, path: Path) -> None:

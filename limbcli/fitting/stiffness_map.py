@@ -26,7 +26,7 @@ from limbcli.inference.profile_intervals import Stiffness
 from limbcli.measurement.elastography import SweMap, check_mean, check_width, map_file, read_map
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
-from limbcli.model import Array, Block, ElementMap, LimbModel, Mesh
+from limbcli.model import Array, ElementMap, LimbModel, Mesh
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.reporting.figures.section import cut_tetrahedra, linear_tetrahedra, outline
 from limbcli.reporting.figures.style import INK, bare, facets, new_figure, style
@@ -76,7 +76,14 @@ def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
     """
     swe = _level_0(site, row)
     raise_errors(check_width(swe, probe_length(model)), MeasurementError)
-    block = _tissue_block(model)
+    names = [each.block for each in model.domains if each.material == TISSUE]
+    if len(names) != 1:
+        raise MeshError(
+            f"{len(names)} blocks are made of {TISSUE!r}; a stiffness map needs one",
+            where=", ".join(names) or "the model has none",
+            fix="mesh without layers, or fit without --stiffness-map",
+        )
+    block = model.mesh.block(names[0])
     middles = model.mesh.points[block.cells].mean(axis=1)
     found = stiffness_at(swe, middles, density_kg_per_m3=site.density_kg_per_m3)
     if not found.inside.any():
@@ -112,17 +119,6 @@ def _level_0(site: Site, row: int) -> SweMap:
             fix="export the map at 0 N, or fit without --stiffness-map",
         )
     return read_map(path)
-
-
-def _tissue_block(model: LimbModel) -> Block:
-    names = [each.block for each in model.domains if each.material == TISSUE]
-    if len(names) != 1:
-        raise MeshError(
-            f"{len(names)} blocks are made of {TISSUE!r}; a stiffness map needs one",
-            where=", ".join(names) or "the model has none",
-            fix="mesh without layers, or fit without --stiffness-map",
-        )
-    return model.mesh.block(names[0])
 
 
 def _ends_words(values: Array) -> str:

@@ -42,32 +42,20 @@ def with_cortex(
     bone = np.zeros_like(marrow)
     slices = np.flatnonzero(marrow.any(axis=(0, 1)))
     for k in slices.tolist():
-        here = marrow[:, :, k]
-        window = box_around(here, np.ceil((_THICKEST + 2.0) / in_plane))
-        walls = dark[:, :, k][window], dip[:, :, k][window]
-        bone[:, :, k][window] = _shell(here[window], values[:, :, k][window], walls, intensities, in_plane)
+        box = box_around(marrow[:, :, k], np.ceil((_THICKEST + 2.0) / in_plane))
+        part: tuple[slice | int, ...] = (*box, k)
+        here = marrow[part]
+        radius = np.sqrt(here.sum() * np.prod(in_plane) / np.pi)
+        outside = ndimage.distance_transform_edt(~here, sampling=in_plane)
+        wall = (dark[part] & (outside < min(_THICKEST, 4.0 + 1.2 * radius))) | (dip[part] & (outside < _THIN))
+        rim = (outside < 0.6) & (values[part] < intensities.between)
+        whole = opened(ndimage.binary_fill_holes(here | wall | rim), _LINE, in_plane) | here
+        parts, _ = ndimage.label(whole)
+        kept = np.bincount(parts[here], minlength=2)
+        kept[0] = 0
+        bone[part] = closed(parts == kept.argmax(), _NOTCH, in_plane)
     _add_caps(bone, dark, (int(slices[0]), int(slices[-1])), spacing)
     return evened(bone, spacing)
-
-
-def _shell(
-    marrow: NDArray[np.bool_],
-    values: NDArray[np.float32],
-    walls: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    intensities: TissueIntensities,
-    spacing: Array,
-) -> NDArray[np.bool_]:
-    """Marrow and cortex in one slice."""
-    radius = np.sqrt(marrow.sum() * np.prod(spacing) / np.pi)
-    outside = ndimage.distance_transform_edt(~marrow, sampling=spacing)
-    dark, dip = walls
-    wall = (dark & (outside < min(_THICKEST, 4.0 + 1.2 * radius))) | (dip & (outside < _THIN))
-    rim = (outside < 0.6) & (values < intensities.between)
-    whole = opened(ndimage.binary_fill_holes(marrow | wall | rim), _LINE, spacing) | marrow
-    parts, _ = ndimage.label(whole)
-    kept = np.bincount(parts[marrow], minlength=2)
-    kept[0] = 0
-    return closed(parts == kept.argmax(), _NOTCH, spacing)
 
 
 def _add_caps(

@@ -105,18 +105,14 @@ def size_field(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Siz
     for field in (domain.skin, domain.bone):
         if field is not None:
             limit = np.minimum(limit, _bend_limit(field, sag, sizes.far, least=sizes.bends))
-    limit[~_within_cuts(domain)] = sizes.far
-    bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
-    return SizeField(sizes, probes, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
-
-
-def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.bool_]:
-    """Samples at least `inside` mm on the kept side of every cut; those beyond do not limit the size."""
+    # samples at least 1 mm on the kept side of every cut; those beyond do not limit the size
     points = domain.skin.grid.points()
     keep = np.ones(points.shape[:3], bool)
     for plane in domain.planes:
-        keep &= points @ plane.normal - plane.offset < -inside
-    return keep
+        keep &= points @ plane.normal - plane.offset < -1.0
+    limit[~keep] = sizes.far
+    bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
+    return SizeField(sizes, probes, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
 
 
 def _bend_limit(field: Field, sag: Array, far: float, *, least: float) -> Array:
