@@ -181,7 +181,7 @@ class ReferenceSession:
         self._analysis.model = model
         values = parameter_values(model, wrt, moved)
         self._warm = self._warm or WarmStart()
-        warm = self._warm if start.levels is None else WarmStart.by(start.levels)
+        warm = self._warm if start.levels is None else WarmStart(start.levels)
         warm.at(values)
         if start.independent:
             self._analysis.forget()
