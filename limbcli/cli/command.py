@@ -90,13 +90,17 @@ def _hint(argument: Argument) -> Any:
     option = argument.option
     declare = typer.Option if argument.flags else typer.Argument
     low, high = option.bounds
+    words = (*argument.words, *option.such_as)
+    complete = _WHEN_ASKED.get(argument.name) or (_those_of(words) if words else None)
+    refuse = _others_than(argument.words) if argument.words and len(argument.kinds) == 1 else None
     declared = declare(
         *argument.flags,
         help=option.help,
         metavar=option.metavar,
         min=low,
         max=high,
-        **_choices(argument),  # type: ignore[operator]
+        autocompletion=complete,
+        callback=refuse,
     )
     return Annotated[argument.kind, declared]
 
@@ -116,14 +120,6 @@ def _value(argument: Argument, given: Any) -> Any:
 
 
 # Options with few or known values: shells complete them, and another of few is refused before any work.
-
-
-def _choices(argument: Argument) -> dict[str, Any]:
-    """Arguments of `typer.Option` for an argument with few, or with known, values."""
-    words = (*argument.words, *argument.option.such_as)
-    complete = _WHEN_ASKED.get(argument.name) or (_those_of(words) if words else None)
-    refuse = _others_than(argument.words) if argument.words and len(argument.kinds) == 1 else None
-    return {"autocompletion": complete, "callback": refuse}
 
 
 def _those_of(words: Sequence[str]) -> Callable[[str], list[str]]:
