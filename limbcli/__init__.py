@@ -42,9 +42,6 @@ if TYPE_CHECKING:
     from limbcli.api.geometry import SegmentResult as SegmentResult
     from limbcli.api.geometry import mesh as mesh
     from limbcli.api.geometry import segment as segment
-    from limbcli.api.in_socket import PatchPressure as PatchPressure
-    from limbcli.api.in_socket import SocketResult as SocketResult
-    from limbcli.api.in_socket import socket as socket
     from limbcli.api.making import MadeCase as MadeCase
     from limbcli.api.making import make_phantom as make_phantom
     from limbcli.api.making import synth as synth
@@ -61,7 +58,10 @@ if TYPE_CHECKING:
     from limbcli.api.subjects import check as check
     from limbcli.api.subjects import measure as measure
     from limbcli.api.whole_limb import LimbResult as LimbResult
+    from limbcli.api.whole_limb import PatchPressure as PatchPressure
+    from limbcli.api.whole_limb import SocketResult as SocketResult
     from limbcli.api.whole_limb import limb as limb
+    from limbcli.api.whole_limb import socket as socket
     from limbcli.case import Case as Case
     from limbcli.errors import CaseError as CaseError
     from limbcli.errors import FitError as FitError
@@ -93,8 +93,7 @@ _PUBLIC = {
     "api.notebook": ("ShownProgress",),
     "api.simulation": ("BuildFebResult", "RunResult", "build_feb", "run", "run_feb"),
     "api.making": ("MadeCase", "make_phantom", "synth"),
-    "api.in_socket": ("PatchPressure", "SocketResult", "socket"),
-    "api.whole_limb": ("LimbResult", "limb"),
+    "api.whole_limb": ("LimbResult", "PatchPressure", "SocketResult", "limb", "socket"),
     "api.subjects": ("CheckResult", "MeasureResult", "check", "measure"),
     "case": ("Case",),
     "errors": (

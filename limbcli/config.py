@@ -19,10 +19,7 @@ def templates_folder(override: Path | None = None) -> Path:
     The user's own folder, if one is given (templates missing there are taken from limbcli's own), then the
     repository's `templates/`, then the copy in an installed wheel.
 
-    Raises
-    ------
-    ToolError
-        If the given folder, or every default location, does not exist or contains no templates.
+    Raises ToolError if the given folder, or every default location, does not exist or contains no templates.
     """
     if override is not None:
         if not override.is_dir():
@@ -61,10 +58,7 @@ def default_out(case_folder: Path) -> Path:
 def at_home(path: Path) -> Path:
     """The path with a leading `~` expanded to the home folder, in case the shell has not done it.
 
-    Raises
-    ------
-    CaseError
-        If the home folder is unknown: the results would otherwise go to a folder named `~`.
+    Raises CaseError if the home folder is unknown: the results would otherwise go to a folder named `~`.
     """
     try:
         return path.expanduser()

@@ -70,17 +70,7 @@ class StageResult:
         return found
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "format": FORMAT,
-            "stage": self.stage,
-            "subject": self.subject,
-            "site": self.site,
-            "files": dict(self.files),
-            "data": plain(self.data),
-            "summary": list(self.summary),
-            "warnings": list(self.warnings),
-            "provenance": plain(self.provenance),
-        }
+        return {"format": FORMAT} | plain({k: v for k, v in vars(self).items() if k != "folder"})
 
 
 def stage_folder(out: Path, stage: str, site: str | None = None) -> Path:
@@ -272,11 +262,8 @@ def _digest(content: Mapping[str, Any]) -> str:
 def read_result(out: Path, stage: str, *, site: str | None = None) -> StageResult:
     """Read the result of a stage.
 
-    Raises
-    ------
-    CaseError
-        If the stage has not been run, or its JSON cannot be read, was changed since it was written, or
-        belongs to another stage or site.
+    Raises CaseError if the stage has not been run, or its JSON cannot be read, was changed since it was
+    written, or belongs to another stage or site.
     """
     folder = stage_folder(out, stage, site)
     with record_of(

@@ -9,7 +9,7 @@ import reprlib
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, ParamSpec, TypeAlias, TypeVar, Union
+from typing import TYPE_CHECKING, Any, ParamSpec, TypeAlias, TypeVar, Union
 
 from limbcli.api.limits import check_arguments
 from limbcli.config import at_home, default_out
@@ -76,11 +76,18 @@ def _in_words(value: object) -> str:
 
 @dataclass(frozen=True)
 class StageCall:
-    """Arguments common to all stage calls."""
+    """A case at work: the arguments common to all stage calls."""
 
     case: Case
     out: Path
     progress: Progress
+
+    def run(self, stage: Callable[..., _Found], **given: Any) -> _Found:
+        """What a stage returns for these arguments; sites and paths are as the caller gave them."""
+        given |= {name: maybe_path(given[name], name) for name in ("febio", "templates") if name in given}
+        if "sites" in given:
+            given["sites"] = names_of(given["sites"])
+        return stage(self.case, out=self.out, progress=self.progress, **given)
 
 
 @contextlib.contextmanager

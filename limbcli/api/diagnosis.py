@@ -175,9 +175,7 @@ def diagnose(
             interventions=interventions, separate=separate,
             measured=dict(measured or {}), solver=solver, febio=maybe_path(febio, "febio"),
         )  # fmt: skip
-        return stage.diagnose(
-            work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
-        )
+        return work.run(stage.diagnose, sites=sites, options=options)
 
 
 @one(ReportResult)
@@ -201,6 +199,4 @@ def report(
     from limbcli.stages import report as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        return stage.report(
-            work.case, out=work.out, templates=maybe_path(templates, "templates"), progress=work.progress
-        )
+        return work.run(stage.report, templates=templates)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from typing import Annotated, get_args
 
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path
 from limbcli.api.fit_results import ElementComparison, FitResult, JointFitResult, StatesFitResult
 from limbcli.api.stage_result import each_site, one
 from limbcli.options import (
@@ -93,10 +93,7 @@ def fit(
             contact_check=contact_check, boundary_check=boundary_check, cycle=str(cycle),
             templates=maybe_path(templates, "templates"), time_limit_s=time_limit_s,
         )  # fmt: skip
-        return stage.fit(
-            work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
-            options=options, progress=work.progress,
-        )  # fmt: skip
+        return work.run(stage.fit, sites=sites, solver=solver, febio=febio, options=options)
 
 
 @one(JointFitResult)
@@ -135,9 +132,7 @@ def fit_joint(
             boundary_check=boundary_check, cycle=str(cycle), law=law, compare_laws=compare_laws,
             gain_deviation=gain_deviation_fraction,
         )  # fmt: skip
-        return stage.fit_joint(
-            work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
-        )
+        return work.run(stage.fit_joint, sites=sites, options=options)
 
 
 @each_site(StatesFitResult)
@@ -169,9 +164,7 @@ def fit_states(
 
     with at_work(case, out, wait=wait, progress=progress) as work:
         options = FitOptions(law=law, gain_deviation=gain_deviation_fraction)
-        return stage.fit_states(
-            work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
-        )
+        return work.run(stage.fit_states, sites=sites, options=options)
 
 
 @each_site(ElementComparison)
@@ -202,6 +195,4 @@ def compare_elements(
             c_kpa=c_kpa, tolerance=tolerance, max_iterations=max_iterations, contact_check=False,
             boundary_check=False, cycle=str(cycle),
         )  # fmt: skip
-        return stage.compare_elements(
-            work.case, out=work.out, sites=names_of(sites), options=options, progress=work.progress
-        )
+        return work.run(stage.compare_elements, sites=sites, options=options)

@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from limbcli.api.call import CaseLike, Heard, PathLike, at_work, names_of, public
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, public
 from limbcli.api.limits import within
 from limbcli.api.stage_result import Result, SiteResults, one
 from limbcli.errors import CaseError
@@ -174,7 +174,7 @@ def segment(
             seeds=_seeds(seeds), smooth=smooth_mm, threshold=threshold, limb=limb, accept_bones=accept_bones,
             aop=aop,
         )  # fmt: skip
-        return stage.segment(work.case, out=work.out, options=options, fresh=fresh, progress=work.progress)
+        return work.run(stage.segment, options=options, fresh=fresh)
 
 
 def _with_studies(found: Sequence[StageResult]) -> SiteResults[MeshResult]:
@@ -250,10 +250,7 @@ def mesh(
             element=element, size=size_mm, far_size=far_size_mm, margin=margin_mm, place=place,
             skin_layer=thickness(skin_mm, "skin_mm"), fat_layer=thickness(fat_mm, "fat_mm"),
         )  # fmt: skip
-        return stage.mesh(
-            work.case, out=work.out, sites=names_of(sites), options=request, study=study,
-            progress=work.progress,
-        )  # fmt: skip
+        return work.run(stage.mesh, sites=sites, options=request, study=study)
 
 
 def _place(at: tuple[float, float] | None) -> tuple[float, float] | None:

@@ -165,9 +165,8 @@ def synth(
         stretches=stretches,
     )  # fmt: skip
     with at_work(case, out, wait=wait, progress=progress) as work:
-        return stage.synth(
-            work.case, out=work.out, out_case=folder_of(out_case, "out_case"), sites=names_of(sites),
-            options=plan, force=force, progress=work.progress,
+        return work.run(
+            stage.synth, out_case=folder_of(out_case, "out_case"), sites=sites, options=plan, force=force,
         )  # fmt: skip
 
 

@@ -16,7 +16,6 @@ from limbcli.api.call import (
     foreseen,
     listening,
     maybe_path,
-    names_of,
 )
 from limbcli.api.stage_result import Result, each_site, one
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
@@ -166,10 +165,7 @@ def build_feb(
             c_kpa=c_kpa, f_kappa=f_kappa, m=m, layers=_laws(layers or {}), contact_penalty=contact_penalty,
             abaqus=abaqus,
         )  # fmt: skip
-        return stage.build_feb(
-            work.case, out=work.out, sites=names_of(sites), options=options,
-            templates=maybe_path(templates, "templates"), progress=work.progress,
-        )  # fmt: skip
+        return work.run(stage.build_feb, sites=sites, options=options, templates=templates)
 
 
 def _laws(layers: Mapping[str, Mapping[str, Any]]) -> dict[str, dict[str, Any]]:
@@ -214,10 +210,9 @@ def run(
     from limbcli.stages import run as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        return stage.run(
-            work.case, out=work.out, sites=names_of(sites), solver=solver, febio=maybe_path(febio, "febio"),
+        return work.run(
+            stage.run, sites=sites, solver=solver, febio=febio,
             options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
-            progress=work.progress,
         )  # fmt: skip
 
 

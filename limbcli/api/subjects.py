@@ -15,7 +15,6 @@ from limbcli.api.call import (
     folder_of,
     foreseen,
     listening,
-    names_of,
     public,
 )
 from limbcli.api.stage_result import Result, each_site
@@ -118,6 +117,4 @@ def measure(
     from limbcli.stages import measure as stage
 
     with at_work(case, out, wait=wait, progress=progress) as work:
-        return stage.measure(
-            work.case, out=work.out, sites=names_of(sites), write=write, progress=work.progress
-        )
+        return work.run(stage.measure, sites=sites, write=write)

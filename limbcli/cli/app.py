@@ -103,7 +103,13 @@ def main(arguments: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if arguments is None else arguments
     try:
         arguments = list(map(_from_home, arguments))
-        _refuse_no_numbers(arguments)
+        # `nan`, `inf` and 1e999 parse as numbers and may pass range checks, but no option accepts them
+        for before, text in itertools.pairwise(["", *arguments]):
+            option, _, value = (
+                text.rpartition("=") if text.startswith("--") and "=" in text else (before, "", text)
+            )
+            if option.startswith("-") and _is_no_finite_number(value):
+                raise CaseError(f"{value!r} is not a number", where=option, fix="give a finite number")
         only = tuple(each for each in arguments[:1] if each in COMMANDS)
         program = _app(only or tuple(COMMANDS), listed_only=arguments in ([], ["-h"], ["--help"]))
         program(args=arguments, standalone_mode=True)
@@ -145,17 +151,6 @@ def _from_home(text: str) -> str:
     """
     option, equals, value = text.partition("=") if text.startswith("--") else ("", "", text)
     return f"{option}{equals}{at_home(Path(value))}" if value.startswith("~") else text
-
-
-def _refuse_no_numbers(arguments: Sequence[str]) -> None:
-    """Reject `nan`, `inf` and 1e999: they parse as numbers and may pass range checks, but no option accepts
-    them."""
-    for before, text in itertools.pairwise(["", *arguments]):
-        option, _, value = (
-            text.rpartition("=") if text.startswith("--") and "=" in text else (before, "", text)
-        )
-        if option.startswith("-") and _is_no_finite_number(value):
-            raise CaseError(f"{value!r} is not a number", where=option, fix="give a finite number")
 
 
 def _is_no_finite_number(text: str) -> bool:

@@ -74,7 +74,7 @@ COMMANDS = {
         "Build the finite-element model of the whole limb, with named parts, for FEBio and others.",
     ),
     "socket": Command(
-        "api.in_socket:socket", "limbcli socket S12 --align",
+        "api.whole_limb:socket", "limbcli socket S12 --align",
         "Put the limb into its socket and load it: pressure and shear on the skin, by patch. After `limb`.",
     ),
     "report": Command(

@@ -23,7 +23,11 @@ _OBJECTS = 50_000
 def main() -> None:
     """The installed command `limbcli`."""
     gc.set_threshold(_OBJECTS, *gc.get_threshold()[1:])
-    _open_closed_streams()
+    # Streams that the caller closed (`2>&-`) are opened on the null device: else the first files opened would
+    # get their descriptors, and what libraries and child processes print would be written into them.
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
     if not sys.warnoptions:  # those of libraries, for developers; -W or PYTHONWARNINGS shows them
         warnings.simplefilter("ignore")
     _answer_with(_exit_on_signal)
@@ -51,17 +55,6 @@ def main() -> None:
         sys.exit(_caught(error))
     finally:
         _answer_with(_exit_on_signal)
-
-
-def _open_closed_streams() -> None:
-    """Open streams that the caller closed (`2>&-`) on the null device.
-
-    Otherwise the first files opened would get their descriptors, and output printed by libraries and child
-    processes would be written into these files.
-    """
-    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
-        if getattr(sys, name) is None:
-            setattr(sys, name, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115
 
 
 def _is_interrupt(error: BaseException | None) -> bool:

@@ -1,14 +1,16 @@
-"""The page of a cohort: displays the content of `cohort.json`, without computing anything."""
+"""The page of a cohort and its pictures in a folder next to it: displays the content of `cohort.json`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from limbcli.cohorts import figures as drawn
 from limbcli.numbers.significant_digits import significant
 from limbcli.reporting.numbers import DASH, cell
+from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.reportlet import Cell, Picture, Reportlet, table
 
 Data = Mapping[str, Any]
@@ -18,11 +20,31 @@ _NAMES = (
     ("m", "m", ""),
 )
 _LISTED = 25
+PICTURES = "pictures"
+TEMPLATE = "cohort.html.j2"
+_PICTURES = frozenset({"distributions", "misfits", "one-tissue", "left-out"})
+_ENDINGS = (".png", ".svg", "-data.csv")
 
 
-def cohort_reportlets(data: Data) -> list[Reportlet]:
-    """The reportlets, one per question, in reading order."""
-    return [make(data) for make in (population, standing_out, misfits, one_tissue, left_out, grounds)]
+def cohort_page(data: Mapping[str, Any], out: Path, name: str, *, templates: Path | None = None) -> Path:
+    """Write `<out>/<name>` and `<out>/pictures/`, in a new folder; the page needs no other file."""
+    makers = (population, standing_out, misfits, one_tissue, left_out, grounds)  # in reading order
+    reportlets = [make(data) for make in makers]
+    (out / PICTURES).mkdir()
+    shown = embed(reportlets, save_pictures(reportlets, out / PICTURES))
+    facts = {"data": data, "reportlets": reportlets, "shown": shown, "own": data["provenance"]}
+    html = render(TEMPLATE, facts, templates=templates)
+    (out / name).write_text(html, encoding="utf-8")
+    return out / name
+
+
+def is_ours(path: Path) -> bool:
+    """Whether a file in the folder of pictures has the name of a cohort's picture.
+
+    >>> is_ours(Path("pictures/left-out-data.csv")), is_ours(Path("pictures/holiday.png"))
+    (True, False)
+    """
+    return any(path.name.removesuffix(each) in _PICTURES for each in _ENDINGS if path.name.endswith(each))
 
 
 def population(data: Data) -> Reportlet:

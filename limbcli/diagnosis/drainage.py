@@ -66,10 +66,7 @@ class DrainageSolver:
         """The solver for `kind` ("auto", "febio", ...) and a binary; None unless it is FEBio, as the
         reference solver cannot simulate drainage.
 
-        Raises
-        ------
-        CaseError, ToolError
-            As `solvers.choose`.
+        Raises CaseError or ToolError as `solvers.choose`.
         """
         solver = choose(kind, febio)
         named = kind == FebioSolver.name
@@ -85,10 +82,7 @@ def drained(
 
     keep : cache folder of the simulations; notes : get the facts on these
 
-    Raises
-    ------
-    LimbError
-        If there are no holds in which the force falls, or too few simulations succeed.
+    Raises LimbError if there are no holds in which the force falls, or too few simulations succeed.
     """
     if held is None:
         why = notes.data.get("holds_not_used")

@@ -98,14 +98,8 @@ def prepare(
 
     draining : solver for draining tissue; None: poroelasticity is not simulated
 
-    Raises
-    ------
-    CaseError
-        If `segment` has not been run.
-    MeasurementError
-        If the levels cannot be used.
-    SolveError
-        If the model without effects cannot be solved.
+    Raises CaseError if `segment` has not been run; MeasurementError if the levels cannot be used; SolveError
+    if the model without effects cannot be solved.
     """
     made, refused = _Preparation(case, site, out, mesh, progress), dict[str, LimbError]()
     simulations = made.simulations()
@@ -142,10 +136,7 @@ def turned_by_90(
 ) -> SiteCurves:
     """Curves of the same measurement with the probe's long side turned by 90 degrees.
 
-    Raises
-    ------
-    MeshError, SolveError
-        If the place cannot be meshed or simulated with the turned probe.
+    Raises MeshError or SolveError if the place cannot be meshed or simulated with the turned probe.
     """
     site, known = prepared.site, prepared.curves
     other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
@@ -189,7 +180,9 @@ class _Preparation:
         self.levels = levels_of(site)
         self.maps = maps_of(site, self.levels)
         self.windows = Windows.usual(case.probe.length) if self.maps is None else Windows.of_maps(self.maps)
-        self.skin_bone = self._skin_bone()
+        checks = data_if_there(self.out, "mesh", site=self.site.name).get("checks", {})
+        seen = checks.get("skin_bone_mm")
+        self.skin_bone = float(seen) if seen is not None else measured_skin_bone(self.site)
         check_within_tissue(float(np.max(self.levels.depth)), self.skin_bone, site)
         self.size = size_for(self.skin_bone) if mesh.size is None else mesh.size
         self.layers: LayerReadings | None = None  # in the working mesh, once it is made
@@ -239,12 +232,6 @@ class _Preparation:
             self.notes.warnings.append(f"the layers are not used: {error.what}")
             return None
         return layers
-
-    def _skin_bone(self) -> float | None:
-        """Tissue thickness in mm under the probe's centre, from the site's own mesh, else as measured."""
-        checks = data_if_there(self.out, "mesh", site=self.site.name).get("checks", {})
-        found = checks.get("skin_bone_mm")
-        return float(found) if found is not None else measured_skin_bone(self.site)
 
     def _working_mesh(self) -> LimbModel:
         """A coarse mesh of the site; without surfaces (no `segment`), the site's own mesh."""

@@ -51,10 +51,7 @@ def effect(name: str, effects: tuple[Effect, ...] = EFFECTS, *, option: str = "-
 
     option : the command-line option that requested it, for the error
 
-    Raises
-    ------
-    CaseError
-        If there is none of that name.
+    Raises CaseError if there is none of that name.
 
     >>> effect("skin-layer").kind
     'tissue'

@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 
 from limbcli.effects.effect import Effect, Parameter, Theta
-from limbcli.model import LimbModel, Support
+from limbcli.model import LimbModel
 
 LIMB_POSITION = 0.5  # position of a limb between a fixed (0) and a free (1) cut
 FREED = Parameter("cut_freed", null=0.0, start=1.0, low=0.0, high=1.0, typical=1.0, prior="0 or 1")
@@ -28,12 +28,10 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     alone = np.setdiff1d(sets["cut"], sets["bone"])
     held = np.setdiff1d(sets["fixed"], alone)
     mesh = replace(model.mesh, node_sets={**sets, "held": held})
-    supports = tuple(_freed(each) for each in model.supports)
+    supports = tuple(
+        replace(each, node_set="held") if each.node_set == "fixed" else each for each in model.supports
+    )
     return replace(model, mesh=mesh, supports=supports)
-
-
-def _freed(support: Support) -> Support:
-    return replace(support, node_set="held") if support.node_set == "fixed" else support
 
 
 EFFECT = Effect(

@@ -69,10 +69,8 @@ class Drainage:
     def through(holds: Sequence[HeldIndentation]) -> Drainage:
         """Fit the fractions to simulated holds, one hold per depth.
 
-        Raises
-        ------
-        SolveError
-            If there is no hold, or if one has too few usable times or does not decay like draining tissue.
+        Raises SolveError if there is no hold, or if one has too few usable times or does not decay like
+        draining tissue.
         """
         if not holds:
             raise SolveError("no held indentation was simulated", where="drainage", fix="see why in its log")

@@ -33,17 +33,21 @@ def effect_of_file(path: Path, known: Sequence[Effect]) -> Effect:
 
     known : effects whose names, and those of their parameters, are already in use
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be run, defines no effect, or defines one that cannot be used: of an unsupported
-        kind, without a function that changes anything, or with bounds that do not contain the null and the
-        start.
+    Raises CaseError if the file cannot be run, defines no effect, or defines one that cannot be used: of an
+    unsupported kind, without a function that changes anything, or with bounds that do not contain the null
+    and the start.
     """
     found = getattr(_run(path), "EFFECT", None)
     if not isinstance(found, Effect):
         raise CaseError("the effect file defines no EFFECT", where=str(path), fix=_FIX)
-    guarded = _guarded(found, path)
+    # the same effect with functions whose errors name the file
+    kinds = {"apply": LimbModel, "observe": Reading, "waves": LimbModel, "stiffness": object}
+    own = {name: getattr(found, name) for name in kinds}
+    changed: dict[str, Any] = {
+        name: _with_its_errors(each, name, kinds[name], path)
+        for name, each in own.items() if each not in (None, same_model, same_reading)
+    }  # fmt: skip
+    guarded = replace(found, **changed)
     for wrong, fix in _wrong(guarded, known):
         raise CaseError(f"the effect of the file cannot be tried: {wrong}", where=str(path), fix=fix)
     return guarded
@@ -107,17 +111,6 @@ def _wrong(effect: Effect, known: Sequence[Effect]) -> Iterator[tuple[str, str]]
                 "let observe return the reading unchanged where theta is null",
             )
         effect.observe(Reading(), {**effect.start, **point})
-
-
-def _guarded(effect: Effect, path: Path) -> Effect:
-    """The same effect with functions whose errors name the file."""
-    kinds = {"apply": LimbModel, "observe": Reading, "waves": LimbModel, "stiffness": object}
-    own = {name: getattr(effect, name) for name in kinds}
-    changed: dict[str, Any] = {
-        name: _with_its_errors(each, name, kinds[name], path)
-        for name, each in own.items() if each not in (None, same_model, same_reading)
-    }  # fmt: skip
-    return replace(effect, **changed)
 
 
 def _with_its_errors(function: Callable[..., Any], name: str, kind: type, path: Path) -> Callable[..., Any]:

@@ -134,10 +134,12 @@ def read(
         speed = _speeds(curves, depth, reading)
     else:
         speed = np.full((len(depth), curves.log_speed.shape[1]), np.nan)
+    # Travel along the guide: the true indentation, whatever the depth errors, with what limb and bone move.
+    since = true_depth(curves, np.zeros(1), reading)
     shown = Readout(
         force=reading.force_gain * force + reading.force_zero,
         log_speed=speed,
-        travel=travelled(curves, protocol, reading),
+        travel=true_depth(curves, protocol.depth, reading) - since + reading.compliance * protocol.force,
         thickness=(curves.thickness - (max(float(depth[0]), 0.0) if len(depth) else 0.0))
         / reading.depth_gain,
         layers=_layers_at(curves, depth),
@@ -190,15 +192,6 @@ def true_depth(curves: Curves, shown: Array, reading: Reading) -> Array:
     if reading.touches_at_zero:
         depth = np.where(shown == 0.0, 0.0, depth)
     return depth + _depth_at_zero(curves, reading)
-
-
-def travelled(curves: Curves, protocol: Protocol, reading: Reading) -> Array:
-    """Travel (n_levels,) of the probe along its guide since depth 0 was shown (mm).
-
-    This is the true indentation, regardless of depth errors, plus the displacement of limb and bone.
-    """
-    since = true_depth(curves, np.zeros(1), reading)
-    return true_depth(curves, protocol.depth, reading) - since + reading.compliance * protocol.force
 
 
 def _speeds(curves: Curves, depth: Array, reading: Reading) -> Array:

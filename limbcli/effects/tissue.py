@@ -24,10 +24,7 @@ _STIFFNESSES = ("c1", "c2", "c3", "c4", "c5", "c6", "kappa", "ksi", "mu", "lambd
 def tissue_block(model: LimbModel) -> Block:
     """The block whose material is the tissue.
 
-    Raises
-    ------
-    SolveError
-        If there is none, or more than one.
+    Raises SolveError if there is none, or more than one.
     """
     names = [each.block for each in model.domains if each.material == TISSUE]
     if len(names) != 1:

@@ -98,10 +98,7 @@ def in_utf8(text: str) -> str:
 def file_system_errors(place: Path) -> Iterator[None]:
     """Turn file-system errors inside the block into errors with a fix.
 
-    Raises
-    ------
-    ToolError, CaseError
-        As given by `in_words`; any other error is raised unchanged.
+    Raises ToolError or CaseError as given by `in_words`; any other error is raised unchanged.
     """
     try:
         yield

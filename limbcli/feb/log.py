@@ -237,10 +237,7 @@ def read_lines(lines: Iterable[str]) -> FebioLog:
 def check_complete(log: FebioLog, path: Path, *, end_time: float | None = None) -> None:
     """Check that the log reports normal termination and that its last time is the end of the load.
 
-    Raises
-    ------
-    SolveError
-        With FEBio's own messages and the log's last lines.
+    Raises SolveError with FEBio's own messages and the log's last lines.
     """
     reached = log.times[-1] if log.times else 0.0
     if log.ending == "error":

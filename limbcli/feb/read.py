@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from limbcli.feb.rigid_centres import with_centres
 from limbcli.feb.units import scaled, units_scale
 from limbcli.feb.xml import UNITS, Tag, drop_empty, open_model, units_of
 from limbcli.materials.laws import is_three_field
-from limbcli.model import FIBRES, Array, Curved, Domain, ElementMap, LimbModel, Material, Mesh, Step, Surface
+from limbcli.model import FIBRES, Array, Curved, Domain, ElementMap, LimbModel, Material, Step, Surface
 from limbcli.model.bodies import RigidBody
 
 IGNORED = "ignored"  # key in `info` of what was left out, since it cannot change a result; not written
@@ -78,7 +77,10 @@ def read_feb(path: Path | str) -> LimbModel:
         model = scaled(model, *scale)
     if notes.ignored:
         model = replace(model, info={**model.info, IGNORED: list(notes.ignored)})
-    return _without_idle_curves(model, must_curves)
+    # curves that only define must-points are left out, as the steps contain these
+    used = used_curves(model)
+    kept = {name: curve for name, curve in model.curves.items() if name in used or name not in must_curves}
+    return replace(model, curves=kept)
 
 
 def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
@@ -110,8 +112,14 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
     info = read_info(root)
     if plot_variables:
         info["plot_variables"] = list(plot_variables)
+    # a file cannot represent empty sets and surfaces
+    nodes = {str(name): np.zeros(0, dtype=np.int64) for name in info.pop(EMPTY_NODE_SETS, ())}
+    surfaces = {str(name): Surface(str(name), {}) for name in info.pop(EMPTY_SURFACES, ())}
+    found = replace(
+        mesh.mesh, node_sets={**mesh.mesh.node_sets, **nodes}, surfaces={**mesh.mesh.surfaces, **surfaces}
+    )
     model = LimbModel(
-        mesh=_with_empty_sets(mesh.mesh, info), materials=materials.materials, domains=domains,
+        mesh=found, materials=materials.materials, domains=domains,
         bodies=tuple(read_loads.tie(bodies, ties).values()), supports=supports, drives=drives,
         springs=springs, contacts=contacts, curves=curves, steps=steps, records=records, info=info,
         fibres=_fibres(element_maps), loads=loads,
@@ -234,13 +242,6 @@ def _solid_domain(tag: Tag, name: str, material: str, of_elements: str | None, t
     return Domain(name, material, element)
 
 
-def _without_idle_curves(model: LimbModel, must_curves: frozenset[str]) -> LimbModel:
-    """Remove curves that only define must-points; the steps contain these."""
-    used = used_curves(model)
-    kept = {name: curve for name, curve in model.curves.items() if name in used or name not in must_curves}
-    return replace(model, curves=kept)
-
-
 def used_curves(model: LimbModel) -> set[str]:
     """Names of the load curves that a load, support or parameter refers to."""
     names: set[str | None] = set()
@@ -253,10 +254,3 @@ def used_curves(model: LimbModel) -> set[str]:
     for material in model.materials.values():
         names |= {value.curve for value in parameter_values(material) if isinstance(value, Curved)}
     return {name for name in names if name is not None}
-
-
-def _with_empty_sets(mesh: Mesh, info: dict[str, Any]) -> Mesh:
-    """Add the empty sets and surfaces, which a file cannot represent."""
-    nodes = {str(name): np.zeros(0, dtype=np.int64) for name in info.pop(EMPTY_NODE_SETS, ())}
-    surfaces = {str(name): Surface(str(name), {}) for name in info.pop(EMPTY_SURFACES, ())}
-    return replace(mesh, node_sets={**mesh.node_sets, **nodes}, surfaces={**mesh.surfaces, **surfaces})

@@ -86,7 +86,14 @@ def _step(tag: Tag, owner: Tag | None, context: _Context) -> Step:
     analysis = tag.child("analysis")
     stepper = tag.child("time_stepper")
     control = _solver(tag.need("solver")) | _settings(tag, OUTPUT_CONTROL)
-    _check_output(tag)
+    # as FEBio does
+    level, stride = tag.child("output_level"), tag.child("output_stride")
+    if level is not None and output_level(level.text) is None:
+        raise level.problem(
+            f"{level.text!r} is not an output level", fix=f"use one of: {', '.join(OUTPUT_LEVELS)}"
+        )
+    if stride is not None:
+        _positive(stride)
     fields: dict[str, Any] = {"adaptive": False}
     if stepper is not None:
         fields, more = _stepper(stepper, context)
@@ -112,17 +119,6 @@ def output_level(text: str) -> int | None:
     """
     names = [*OUTPUT_LEVELS, *map(str, range(len(OUTPUT_LEVELS)))]
     return names.index(text.upper()) % len(OUTPUT_LEVELS) if text.upper() in names else None
-
-
-def _check_output(tag: Tag) -> None:
-    """Refuse what FEBio refuses: another output level, an output stride that is not positive."""
-    level, stride = tag.child("output_level"), tag.child("output_stride")
-    if level is not None and output_level(level.text) is None:
-        raise level.problem(
-            f"{level.text!r} is not an output level", fix=f"use one of: {', '.join(OUTPUT_LEVELS)}"
-        )
-    if stride is not None:
-        _positive(stride)
 
 
 def _positive(tag: Tag) -> Tag:

@@ -43,7 +43,12 @@ def read_distributed_loads(tag: Tag | None, scene: Scene, materials: Tag | None)
                 )
             found = [load for load in read(each, scene) if any(load.value)]
             if found and each.name == "body_load":
-                _need_densities(each, materials)
+                for material in materials or ():
+                    if material.child("density") is None and material.optional("type") != "rigid body":
+                        raise each.problem(
+                            f"the material in line {material.line} has no <density>, for which FEBio takes 1",
+                            fix="give every material its <density>",
+                        )
             loads += found
     return tuple(loads)
 
@@ -142,15 +147,6 @@ def _body_force(tag: Tag, scene: Scene) -> list[Load]:
 def _block(tag: Tag, scene: Scene) -> str:
     name = tag.optional("elem_set")
     return "" if name is None else scene.mesh.block_of(tag, name)
-
-
-def _need_densities(tag: Tag, materials: Tag | None) -> None:
-    for each in materials or ():
-        if each.child("density") is None and each.optional("type") != "rigid body":
-            raise tag.problem(
-                f"the material in line {each.line} has no <density>, for which FEBio takes 1",
-                fix="give every material its <density>",
-            )
 
 
 def _refuse_flag(tag: Tag, name: str, why: str) -> None:

@@ -160,9 +160,13 @@ def read_mesh(tag: Tag) -> MeshSection:
     numbering = Numbering(node_table, Numbering.of(cell_ids))
     surfaces = _surfaces(tag, node_table)
     mesh = Mesh(points, blocks, _node_sets(tag, node_table), surfaces, _own_ids(node_ids), _own_ids(cell_ids))
-    section = MeshSection(
-        mesh, numbering, _pairs(tag, surfaces), {}, _edges(tag, node_table), unlisted, rules
-    )
+    edges: dict[str, IntArray] = {}
+    section = MeshSection(mesh, numbering, _pairs(tag, surfaces), {}, edges, unlisted, rules)
+    for each in tag.all("Edge"):
+        each.allow(attributes=("name",), many=("line2", "line3"))
+        with each.goes_on():
+            rows = [Numbering.look_up(node_table, line.ids(), line, "node") for line in each]
+            edges[each.attribute("name")] = np.concatenate(rows or [np.zeros(0, dtype=np.int64)])
     sets: dict[str, IntArray] = {}
     for each in tag.all("ElementSet"):
         each.allow(attributes=("name",))
@@ -181,16 +185,6 @@ def read_mesh(tag: Tag) -> MeshSection:
 def _own_ids(ids: IntArray) -> IntArray | None:
     """Ids that do not simply count from 1."""
     return None if np.array_equal(ids, np.arange(1, len(ids) + 1)) else ids
-
-
-def _edges(tag: Tag, node_table: IntArray) -> dict[str, IntArray]:
-    found = {}
-    for each in tag.all("Edge"):
-        each.allow(attributes=("name",), many=("line2", "line3"))
-        with each.goes_on():
-            rows = [Numbering.look_up(node_table, line.ids(), line, "node") for line in each]
-            found[each.attribute("name")] = np.concatenate(rows or [np.zeros(0, dtype=np.int64)])
-    return found
 
 
 def refuse_repeated(tags: Iterable[Tag]) -> None:

@@ -37,8 +37,6 @@ class Records:
 def read_records(path: Path, *, n_columns: int | None = None) -> Records:
     """Read a record file (values separated by comma or space).
 
-    Parameters
-    ----------
     n_columns : expected number if known; else that of the first block
 
     Raises SolveError if the file is missing, has no complete block, a block before the last one does not fit,

@@ -14,7 +14,7 @@ import numpy as np
 
 from limbcli.fem.elements.element import shape
 from limbcli.fem.elements.quadrature import rule
-from limbcli.model import Array, Block, Mesh
+from limbcli.model import Array, Mesh
 from limbcli.model.bodies import RigidBody
 
 
@@ -35,7 +35,17 @@ def _centre(body: RigidBody, mesh: Mesh, thicknesses: Mapping[str, Array]) -> tu
     moment, volume = np.zeros(3), 0.0
     for block in mesh.blocks:
         if block.name in body.blocks:
-            size, places = _integrals(block, mesh.points)
+            # volume or area (n_cells,) of each cell, and the integral of its position (n_cells, 3)
+            at, weights = rule(block.kind)
+            N, dN = shape(block.kind, at)
+            X = mesh.points[block.cells]
+            tangents = np.einsum("cni,gnd->cgid", X, dN)
+            if block.is_solid:
+                size = np.abs(np.linalg.det(tangents)) * weights
+            else:
+                normals = np.cross(tangents[..., 0], tangents[..., 1])
+                size = np.linalg.norm(normals, axis=-1) * weights
+            size, places = size.sum(axis=1), np.einsum("cg,gn,cni->ci", size, N, X)
             if not block.is_solid:
                 thickness = thicknesses.get(block.name, np.zeros(len(block.cells)))
                 size, places = size * thickness, places * thickness[:, None]
@@ -43,17 +53,3 @@ def _centre(body: RigidBody, mesh: Mesh, thicknesses: Mapping[str, Array]) -> tu
             moment = moment + places.sum(axis=0)
     x, y, z = (moment / volume if volume else np.zeros(3)).tolist()
     return x, y, z
-
-
-def _integrals(block: Block, points: Array) -> tuple[Array, Array]:
-    """Volume or area (n_cells,) of each cell, and the integral of its position (n_cells, 3)."""
-    at, weights = rule(block.kind)
-    N, dN = shape(block.kind, at)
-    X = points[block.cells]
-    tangents = np.einsum("cni,gnd->cgid", X, dN)
-    if block.is_solid:
-        size = np.abs(np.linalg.det(tangents)) * weights
-    else:
-        normals = np.cross(tangents[..., 0], tangents[..., 1])
-        size = np.linalg.norm(normals, axis=-1) * weights
-    return size.sum(axis=1), np.einsum("cg,gn,cni->ci", size, N, X)

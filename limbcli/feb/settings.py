@@ -66,8 +66,6 @@ def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule
     leaves a step too small to converge. Therefore the last time is a multiple of the first step that is exact
     in binary arithmetic.
 
-    Parameters
-    ----------
     depths : mm, increasing, all above `least_level()`
     start : depth of the probe at time 0 (mm); None: 0.05, less if the first level is shallow
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -121,7 +121,10 @@ def _material(material: Material, ids: Ids, tag: str = "material") -> MaterialVi
     if law.fiber:
         rows.append(_fiber_row(material.parameters["fiber"]))
     if law.law == "prestrain":
-        rows.append(_prestrain_row(material.parameters, ids))
+        text = Markup("").join(
+            _xml(_value_row(name, material.parameters[name], ids)) for name in ("ramp", "F0")
+        )
+        rows.append(("prestrain", (("type", "prestrain gradient"),), text))
     if law.law == "biphasic":
         perm = _xml(_value_row("perm", material.parameters["perm"], ids))
         rows.append(("permeability", (("type", "perm-const-iso"),), perm))
@@ -179,11 +182,6 @@ def _fiber_row(value: Value) -> Row:
     if not isinstance(value, tuple):
         raise CaseError("a fibre must be a direction or a map", where="model", fix="correct the material")
     return "fiber", (("type", "vector"),), _xml(("vector", (), vector(value)))
-
-
-def _prestrain_row(parameters: Mapping[str, Value], ids: Ids) -> Row:
-    text = Markup("").join(_xml(_value_row(name, parameters[name], ids)) for name in ("ramp", "F0"))
-    return "prestrain", (("type", "prestrain gradient"),), text
 
 
 # ---------------------------------------------------------------- steps, drives, records

@@ -303,7 +303,11 @@ def open_model(path: Path, notes: ReadingNotes | None = None) -> Tag:
     if root.tag != "febio_spec":
         raise CaseError("this is not a FEBio model file", where=str(path), fix="give a .feb file")
     tag = Tag(root, path, notes)
-    _take_out_comments(root)
+    # Comments inside the sections are removed, joining the text before and after, as FEBio does
+    # (XMLReader::GetChar); those between the sections are kept, among them the writer's own.
+    for section in root:
+        if isinstance(section.tag, str):
+            etree.strip_elements(section, etree.Comment, with_tail=False)
     if (mixed := mixed_text(root)) is not None:
         raise tag.of(mixed[0]).problem(
             f"it contains the text {mixed[1][:40]!r} beside other tags, where nothing reads it",
@@ -315,7 +319,14 @@ def open_model(path: Path, notes: ReadingNotes | None = None) -> Tag:
             f"format version {version!r} is not supported",
             fix="save the model in FEBio's format 4.0 (FEBio Studio: export)",
         )
-    _refuse_other_files(tag)
+    # no references to other files: a run uses a single file, and its hash identifies the whole model
+    steps = tag.child("Step")
+    for each in (*tag, *(part for step in steps or () for part in step)):
+        if each.name == "Include" or each.optional("from") is not None:
+            raise each.problem(
+                f"it is in another file ({each.optional('from') or each.text})",
+                fix="put its content in this place, in one file",
+            )
     _check_file_names(tag)
     return tag
 
@@ -341,28 +352,6 @@ def drop_empty(owner: Tag, known: Collection[str]) -> None:
         if child.is_empty and child.name not in known and child.name in SECTIONS:
             owner.ignore(f"empty <{child.name}>")
             owner.element.remove(child.element)
-
-
-def _refuse_other_files(root: Tag) -> None:
-    """Reject references to other files: a run uses a single file, and its hash identifies the whole model."""
-    steps = root.child("Step")
-    for each in (*root, *(part for step in steps or () for part in step)):
-        if each.name == "Include" or each.optional("from") is not None:
-            raise each.problem(
-                f"it is in another file ({each.optional('from') or each.text})",
-                fix="put its content in this place, in one file",
-            )
-
-
-def _take_out_comments(root: etree._Element) -> None:
-    """Remove comments inside the sections, joining the text before and after, as FEBio does
-    (XMLReader::GetChar).
-
-    Comments between the sections are kept, among them the writer's own.
-    """
-    for section in root:
-        if isinstance(section.tag, str):
-            etree.strip_elements(section, etree.Comment, with_tail=False)
 
 
 def model_text(path: Path) -> bytes:

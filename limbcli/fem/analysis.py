@@ -22,8 +22,7 @@ from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times,
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
-from limbcli.model import LimbModel, Step, Support
-from limbcli.model.bodies import Drive
+from limbcli.model import LimbModel, Step
 from limbcli.progress import SILENT, Progress
 
 
@@ -186,7 +185,9 @@ class Analysis:
         if before is not None:
             self._collect()
             before.close()
-        supports, drives = _from_rest(self.model)
+        # relative supports and drives start from the unloaded state
+        supports = tuple(replace(each, relative=False) for each in self.model.supports)
+        drives = tuple(replace(each, relative=False) for each in self.model.drives)
         system = System(
             self.model,
             supports=supports + step.supports,
@@ -214,9 +215,3 @@ class Analysis:
     def close(self) -> None:
         if self._newton is not None:
             self._newton.close()
-
-
-def _from_rest(model: LimbModel) -> tuple[tuple[Support, ...], tuple[Drive, ...]]:
-    """The model's supports and drives, made absolute: relative ones start from the unloaded state."""
-    supports = tuple(replace(each, relative=False) for each in model.supports)
-    return supports, tuple(replace(each, relative=False) for each in model.drives)

@@ -12,7 +12,6 @@ from limbcli.fem.record_fields import check_record
 from limbcli.materials import compile_material
 from limbcli.materials.stress import tangents_at_rest
 from limbcli.model import LimbModel
-from limbcli.model.bodies import Contact
 from limbcli.progress import Progress
 
 # Smallest admissible eigenvalue of the tangent at rest, as a fraction of the largest: the eigenvalues of a
@@ -25,7 +24,17 @@ def check_supported(model: LimbModel) -> None:
     for contact in model.contacts:
         if contact.kind != "sliding-elastic":
             raise _refused(f"contact of type {contact.kind!r}", f"contact {contact.name!r}")
-        _refuse_no_contact(contact)
+        what = ""
+        if not contact.penalty > 0:
+            what = f"its penalty {contact.penalty:g} is not positive: there would be no contact force"
+        elif contact.friction < 0:
+            what = f"its fric_coeff {contact.friction:g} is below 0"
+        if what:
+            raise SolveError(
+                f"contact {contact.name!r}: {what}",
+                where=f"contact {contact.name!r}",
+                fix="correct it in the model file",
+            )
     for domain in model.domains:
         if domain.material not in model.materials:
             raise _refused(f"domain {domain.block!r} without a material", "domains")
@@ -45,28 +54,10 @@ def check_supported(model: LimbModel) -> None:
         check_record(record)
 
 
-def _refuse_no_contact(contact: Contact) -> None:
-    """Refuse a penalty that would give no contact force, and a negative friction coefficient."""
-    what = ""
-    if not contact.penalty > 0:
-        what = f"its penalty {contact.penalty:g} is not positive: there would be no contact force"
-    elif contact.friction < 0:
-        what = f"its fric_coeff {contact.friction:g} is below 0"
-    if what:
-        raise SolveError(
-            f"contact {contact.name!r}: {what}",
-            where=f"contact {contact.name!r}",
-            fix="correct it in the model file",
-        )
-
-
 def refuse_without_stiffness(model: LimbModel) -> None:
     """Refuse materials that do not resist deformation at rest; those that follow a load curve are skipped.
 
-    Raises
-    ------
-    SolveError
-        If a tangent at rest has an eigenvalue that is not positive beyond round-off.
+    Raises SolveError if a tangent at rest has an eigenvalue that is not positive beyond round-off.
     """
     for domain in model.domains:
         compiled = compile_material(model.materials[domain.material], domain.material)

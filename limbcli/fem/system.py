@@ -15,9 +15,8 @@ from itertools import islice
 import numpy as np
 import scipy.sparse as sparse
 
-from limbcli.fem.contacts.contact import make_pairs
+from limbcli.fem.contacts.contact import make_pairs, near_nodes
 from limbcli.fem.contacts.contact_points import FACET, add_symmetric
-from limbcli.fem.contacts.contact_reach import near_nodes
 from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.contacts.friction import FrictionPair
 from limbcli.fem.contacts.patch import Patch

@@ -42,17 +42,10 @@ class Solved:
 class WarmStart:
     """Keeps the levels of the last solves; `at` selects the solve nearest to new parameter values."""
 
-    def __init__(self) -> None:
-        self._solved: list[Solved] = []
+    def __init__(self, *solved: Solved) -> None:
+        self._solved: list[Solved] = [*solved]
         self._base: Solved | None = None
         self._values: Mapping[Key, float] = {}
-
-    @staticmethod
-    def by(solved: Solved) -> WarmStart:
-        """A warm start from these levels only."""
-        found = WarmStart()
-        found.keep(solved)
-        return found
 
     def keep(self, solved: Solved) -> None:
         self._solved = [*self._solved[-(_KEPT - 1) :], solved]

@@ -23,11 +23,10 @@ from limbcli.fitting.model_checks import ChangedBoundary
 from limbcli.fitting.solve_again import CheckSolver
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
-from limbcli.model import Array, ElementMap, IntArray, LimbModel
+from limbcli.model import Array, ElementMap, LimbModel
 from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import mean_speeds
-from limbcli.site_model.indentation_model import TISSUE, with_penalty, with_tissue
-from limbcli.site_model.model_simplification import softer_jumps
+from limbcli.site_model.indentation_model import TISSUE, softer_jumps, with_penalty, with_tissue
 from limbcli.solvers.febio import FebioSolver
 from limbcli.solvers.material_lines import FILE as LINES
 from limbcli.solvers.material_lines import MaterialLines
@@ -44,15 +43,6 @@ _C_STEP = 1.1  # factor on c in finite differences, for solvers without derivati
 
 def _times(c: float | ElementMap, factor: float) -> float | ElementMap:
     return replace(c, values=factor * c.values) if isinstance(c, ElementMap) else factor * c
-
-
-def level_times(model: LimbModel) -> Array:
-    """Times of the model's must-points, from the start of the analysis: (n_levels,)."""
-    times, start = [], 0.0
-    for step in model.steps:
-        times += [start + each for each in step.must_points]
-        start += step.n_steps * step.step_size
-    return np.array(times)
 
 
 def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
@@ -236,17 +226,12 @@ class LawCurve:
             values += [mean_speeds(model, result.simulation, rows, density_kg_per_m3=self._density)]
             slopes += [np.full((len(rows), len(theta)), np.nan)]
         if self._lines is not None:
-            values += [_line_depths(self._lines, result, rows)]
+            values += [self._lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()]
             slopes += [_line_slopes(self._lines, result, searched)]
         return Prediction(np.concatenate(values), np.vstack(slopes))
 
     def close(self) -> None:
         self._session.close()
-
-
-def _line_depths(lines: MaterialLines, result: SessionResult, rows: IntArray) -> Array:
-    """Depths of the lines below the skin, mm (n_levels * n_lines,)."""
-    return lines.below_skin(result.simulation.nodes[LINES].column("uz")[rows]).ravel()
 
 
 def _line_slopes(lines: MaterialLines, result: SessionResult, searched: Mapping[str, Array]) -> Array:
@@ -266,7 +251,12 @@ class FileCurve:
     ):
         self._solver, self._model, self._c = solver, model, c
         self._limit = time_limit_s
-        self._times = level_times(model)
+        # times of the model's must-points, from the start of the analysis
+        times, start = [], 0.0
+        for step in model.steps:
+            times += [start + each for each in step.must_points]
+            start += step.n_steps * step.step_size
+        self._times = np.array(times)
         self.depths: Array = np.zeros(0)
 
     def __call__(self, theta: Array) -> Array:

@@ -180,12 +180,15 @@ def write_geometry(
     """
     rows = _rows(found, uncertainty)
     share = total_share(list(uncertainty.modes))
+    # standard deviations of ln f_kappa and ln m due to the geometry alone
+    squares = {name: np.square([each["log_shift"][name] for each in rows]) for name in NAMES}
+    deviations = {name: float(np.sqrt(uncertainty.weights @ each)) for name, each in squares.items()}
     reported: dict[str, Any] = {
         "words": uncertainty.words, "gain_fraction": share, "variations": rows,
         "n_solves": uncertainty.n_solves, "seconds": uncertainty.seconds,
         "interval_95_noise": ends(of_noise) if of_noise is not None else {},
         "interval_95": ends(found.intervals[-1]) if found.intervals else {},
-        "standard_error_fraction": _deviations(rows, uncertainty),
+        "standard_error_fraction": deviations,
     }  # fmt: skip
     writer.data["geometry_uncertainty"] = reported
     if uncertainty.words not in writer.warnings:
@@ -212,12 +215,3 @@ def _rows(found: Identified, uncertainty: GeometryUncertainty) -> list[dict[str,
         }
         for each, weight, row in zip(uncertainty.done, uncertainty.weights, moved, strict=True)
     ]  # fmt: skip
-
-
-def _deviations(rows: list[dict[str, Any]], uncertainty: GeometryUncertainty) -> dict[str, float]:
-    """Standard deviations of ln f_kappa and ln m due to the geometry alone."""
-    weights = uncertainty.weights
-    return {
-        name: float(np.sqrt(weights @ np.square([each["log_shift"][name] for each in rows])))
-        for name in NAMES
-    }

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -79,8 +77,12 @@ def studied_error(case: Case, site: Site, out: Path, writer: StageWriter, *, lab
         )
         return None
     studied = result.data
-    other = _differences(studied, site, out)
-    if other:
+    # how the mesh that was studied differs from the current one
+    meshed = data_if_there(out, "mesh", site=site.name)
+    keys = ("element", "size_under_probe_mm", "margin_mm")
+    unlike = [key for key in keys if key in studied and key in meshed and studied[key] != meshed[key]]
+    if unlike:
+        other = ", ".join(f"{key} {studied[key]} instead of {meshed[key]}" for key in unlike)
         writer.warnings.append(
             f"the mesh study of site {site.name} is of another mesh ({other}) and is not used: run "
             "`limbcli mesh --study` again"
@@ -89,11 +91,3 @@ def studied_error(case: Case, site: Site, out: Path, writer: StageWriter, *, lab
     writer.used_result(result, data=["numerical_error_fraction"])
     found = studied.get("numerical_error_fraction")
     return float(found) if found is not None else None
-
-
-def _differences(studied: Mapping[str, Any], site: Site, out: Path) -> str:
-    """How the mesh that was studied differs from the current one, in words; empty if it does not."""
-    meshed = data_if_there(out, "mesh", site=site.name)
-    keys = ("element", "size_under_probe_mm", "margin_mm")
-    unlike = [key for key in keys if key in studied and key in meshed and studied[key] != meshed[key]]
-    return ", ".join(f"{key} {studied[key]} instead of {meshed[key]}" for key in unlike)

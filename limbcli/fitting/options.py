@@ -87,11 +87,9 @@ def check_choice(
 ) -> None:  # fmt: skip
     """Check that these options are compatible.
 
-    Raises
-    ------
-    CaseError
-        If the objective is unknown, if FEBio is requested for a fit that only the reference solver supports,
-        or a stiffness map for a fit with a single c, or if an option has no effect on the requested fit.
+    Raises CaseError if the objective is unknown, if FEBio is requested for a fit that only the reference
+    solver supports, or a stiffness map for a fit with a single c, or if an option has no effect on the
+    requested fit.
     """
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
@@ -137,10 +135,7 @@ def check_choice(
 def check_numbers(options: FitOptions) -> None:
     """Check the range of numbers given by hand.
 
-    Raises
-    ------
-    CaseError
-        If one is out of range; the message names the option and its range.
+    Raises CaseError if one is out of range; the message names the option and its range.
     """
     if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
         fix = "give the number of a cycle (1, 2, ...) or last"

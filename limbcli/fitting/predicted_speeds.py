@@ -73,15 +73,12 @@ def write_speeds(
         LevelMaps(int(levels.rows[k]), float(levels.force[k]), one, other or None)
         for k, one, other in zip(found.levels, found.maps, found.measured, strict=True)
     ]
-    picture = speed_maps(shown, toward=_lateral_side(fitted))
+    rotation = fitted.info.get("patient_from_model")
+    # the side of the patient to which the image's lateral axis, x of the model, points
+    toward = None if rotation is None else side_of(np.array(rotation, dtype=float).reshape(4, 4)[:3, 0])
+    picture = speed_maps(shown, toward=toward)
     save_figure(picture, writer.file("swe_maps_picture", "swe-maps.png"))
     _report(found, levels, writer)
-
-
-def _lateral_side(model: LimbModel) -> str | None:
-    """The side of the patient to which the image's lateral axis, x of the model, points."""
-    rotation = model.info.get("patient_from_model")
-    return None if rotation is None else side_of(np.array(rotation, dtype=float).reshape(4, 4)[:3, 0])
 
 
 def _predict(

@@ -15,11 +15,12 @@ from limbcli.fitting.exports import parameter_rows, write_exports
 from limbcli.fitting.joint_picture import draw_profiles
 from limbcli.fitting.joint_result import elements_of
 from limbcli.fitting.laws import LOCKING
-from limbcli.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
+from limbcli.fitting.table import NAMES, Identified, c_share, counted_deviation, step_agreement, step_table
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import ORDER, speed_agreement, tissue_agreement
-from limbcli.inference.geometry_uncertainty import ends
-from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN
+from limbcli.inference.geometry_uncertainty import at_depths, ends
+from limbcli.inference.monotone_interpolation import pchip_sample
+from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN, sensitivities
 from limbcli.model import LimbModel
 from limbcli.numbers.interval_limits import Flag
 from limbcli.numbers.significant_digits import short
@@ -69,7 +70,11 @@ def write_result(
         writer.data["most_likely"] = dict(
             zip(("c_kpa", *NAMES), (kpa_from_mpa(float(best.best[0])), *best.best[1:3]), strict=True)
         )
-        _warn_unsolved(best, writer)
+        for theta in best.unsolved:
+            writer.warnings.append(
+                f"no simulation converged at f_kappa {theta[0]:.3g}, m {theta[1]:.3g}: "
+                "the intervals stop before it and are marked open there"
+            )
     write_curves(found, writer.file("curves", "curves.csv"))
     rows = [
         row for name, each in tables.items() for row in parameter_rows(site.name, name, each["parameters"])
@@ -100,14 +105,6 @@ def widening(before: Mapping[str, Sequence[float | None]]) -> str:
         for name, (low, high) in before.items() if low is not None and high is not None
     ]  # fmt: skip
     return f"with noise and mesh alone the 95 % interval would be {', '.join(parts)}" if parts else ""
-
-
-def _warn_unsolved(best: Intervals, writer: StageWriter) -> None:
-    for theta in best.unsolved:
-        writer.warnings.append(
-            f"no simulation converged at f_kappa {theta[0]:.3g}, m {theta[1]:.3g}: "
-            "the intervals stop before it and are marked open there"
-        )
 
 
 def write_curves(found: Identified, path: Path) -> None:
@@ -241,3 +238,45 @@ def _estimated(name: str, estimate: Mapping[str, Any], *, computed: bool) -> str
         return f"{name} = {found}: {flag}"
     interval = "no interval" if None in (low, high) else f"95 %: {short(low)} to {short(high)}"
     return f"{name} = {found} ({interval}): {flag}"
+
+
+def write_tissue_force(found: Identified, contact_penalty: float, writer: StageWriter) -> None:
+    """Write `tissue_force`: the fitted forces at the loaded levels, their noise, and all simulations.
+
+    A force often identifies neither f_kappa nor m alone, but well which of them belong together: the limb's
+    stiffness field takes this from here.
+
+    contact_penalty : of these simulations
+
+    Nothing is written where the case states no noise, or the simulations lack derivatives.
+    """
+    step = found.steps[-1]
+    noise = counted_deviation(found, step)
+    solved = [each for each in found.curve.solved if each[1].has((0, 1))]
+    if not noise.any() or not solved:
+        return
+    depths = found.data.depth[found.data.loaded]
+    errors = [np.full(len(depths), found.gain_of(step))]
+    if found.modes is not None:
+        errors += list(at_depths(found.modes, found.knots, depths).T)
+    knots, forces, slopes = np.r_[0.0, found.knots], [], []
+    for theta, answer in solved:
+        assert answer.jacobian is not None
+        sample = pchip_sample(knots, np.r_[0.0, answer.values], depths)
+        forces.append(sample.values)
+        slopes.append(sample.weights[:, 1:] @ (answer.jacobian * theta) / sample.values[:, None])
+    scale = found.intervals[-1].scale if found.intervals else 1.0
+    writer.data["tissue_force"] = {
+        "depths_mm": depths,
+        "fitted_n": sensitivities(found, step.theta).values,
+        "noise_n": np.sqrt(scale) * noise,
+        "model_errors_of_ln": np.array(errors),
+        "c_share": c_share(found),
+        "contact_penalty": contact_penalty,
+        "simulated": {
+            "f_kappa": [float(theta[0]) for theta, _ in solved],
+            "m": [float(theta[1]) for theta, _ in solved],
+            "forces_n": np.array(forces),
+            "slopes_of_ln": np.array(slopes),
+        },
+    }

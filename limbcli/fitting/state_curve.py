@@ -19,8 +19,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves import ogden
 from limbcli.shear_waves.from_simulation import mean_speeds
 from limbcli.shear_waves.speed import material_speeds
-from limbcli.site_model.indentation_model import TISSUE
-from limbcli.site_model.model_simplification import softer_jumps
+from limbcli.site_model.indentation_model import TISSUE, softer_jumps
 from limbcli.site_model.prestretch import (
     WAYS,
     StretchAxes,
@@ -64,7 +63,8 @@ class StateCurve:
         self._model = through_depths(model, [*depths, (1.0 + _BEYOND_SHARE) * depths[-1] + _BEYOND])
         self._stretched = (TISSUE, *held_layers(model))
         self.law, self.c, self._density = law.along(fibre_direction(model)), c, density_kg_per_m3
-        self._even = law.along(_one_direction(model))
+        x, y, z = mean_fibre(model)
+        self._even = law.along((float(x), float(y), float(z)))
         # of each stretch direction from the image's lateral axis
         offsets = abs(self.axes.along[1]), abs(self.axes.around[1])
         self._aligned = int(np.argmin(offsets)) if min(offsets) < _ALIGNED else None
@@ -228,8 +228,3 @@ def _moved(shape: Array, k: int, step: float) -> Array:
     out = np.array(shape, dtype=float)
     out[k] *= np.exp(step)
     return out
-
-
-def _one_direction(model: LimbModel) -> tuple[float, float, float]:
-    x, y, z = mean_fibre(model)
-    return float(x), float(y), float(z)

@@ -59,7 +59,7 @@ def write_states(fit: FittedStates, model: LimbModel, writer: StageWriter) -> No
     write_level_table(writer, problem.task.data, seen)
     write_exports(writer, parameter_rows(fit.site.name, law.name, parameters), fitted)
     draw_joint(problem.task.data, seen, found, writer, file="fit-states.png", of="state")
-    draw_states(fit, lowest, writer)
+    save_figure(states_figure([_panel(each, fit) for each in lowest]), writer.file("states", "states.png"))
     _write_models(fit, model, writer)
     notes = [each.words() for each in lowest]
     for way, stretch in writer.data["taken_as_unloaded"].items():
@@ -124,11 +124,6 @@ def _write_models(fit: FittedStates, model: LimbModel, writer: StageWriter) -> N
     for k, state in enumerate(fit.site.states):
         fitted = fit.curve.in_state(base, problem.place(k, best), c=problem.c_of_curve(best))
         write_feb(fitted, writer.file(f"feb_{state.name}", f"{state.name}.feb"))
-
-
-def draw_states(fit: FittedStates, lowest: Sequence[LeastStiffness], writer: StageWriter) -> None:
-    """Draw states.png: one panel for every direction in which states are stretched."""
-    save_figure(states_figure([_panel(each, fit) for each in lowest]), writer.file("states", "states.png"))
 
 
 def _panel(each: LeastStiffness, fit: FittedStates) -> StatesPanel:

@@ -30,26 +30,8 @@ def with_cortex(
     """
     in_plane = spacing[:2]
     values = ndimage.gaussian_filter(intensities.values, [0.25 / spacing[0], 0.25 / spacing[1], 0])
-    dark, dip = _dark(values, limb, spacing)
-    bone = np.zeros_like(marrow)
-    slices = np.flatnonzero(marrow.any(axis=(0, 1)))
-    for k in slices.tolist():
-        here = marrow[:, :, k]
-        window = box_around(here, np.ceil((_THICKEST + 2.0) / in_plane))
-        walls = dark[:, :, k][window], dip[:, :, k][window]
-        bone[:, :, k][window] = _shell(here[window], values[:, :, k][window], walls, intensities, in_plane)
-    _add_caps(bone, dark, (int(slices[0]), int(slices[-1])), spacing)
-    return evened(bone, spacing)
-
-
-def _dark(
-    values: NDArray[np.float32], limb: NDArray[np.bool_], spacing: Array
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Masks of voxels darker than half the nearby tissue, and of voxels in a local minimum.
-
-    The second also detects a wall thinner than a voxel, whose edge is half way between its own minimum and
-    the tissue.
-    """
+    # Darker than half the nearby tissue; in a local minimum, which also detects a wall thinner than a voxel,
+    # whose edge is half way between its own minimum and the tissue.
     reach = [max(1, round(_NEARBY / each)) for each in spacing[:2]]
     x, y = np.mgrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
     footprint = ((x / reach[0]) ** 2 + (y / reach[1]) ** 2 <= 1)[:, :, None]
@@ -57,27 +39,23 @@ def _dark(
     darkest = np.clip(ndimage.grey_erosion(values, footprint=footprint), 0.0, None)
     dark = (values < 0.5 * beside) & limb
     dip = (values < 0.5 * (beside + darkest)) & (darkest < _WALL) & limb
-    return dark, dip
-
-
-def _shell(
-    marrow: NDArray[np.bool_],
-    values: NDArray[np.float32],
-    walls: tuple[NDArray[np.bool_], NDArray[np.bool_]],
-    intensities: TissueIntensities,
-    spacing: Array,
-) -> NDArray[np.bool_]:
-    """Marrow and cortex in one slice."""
-    radius = np.sqrt(marrow.sum() * np.prod(spacing) / np.pi)
-    outside = distance_to(marrow, spacing)
-    dark, dip = walls
-    wall = (dark & (outside < min(_THICKEST, 4.0 + 1.2 * radius))) | (dip & (outside < _THIN))
-    rim = (outside < 0.6) & (values < intensities.between)
-    whole = opened(ndimage.binary_fill_holes(marrow | wall | rim), _LINE, spacing) | marrow
-    parts, _ = ndimage.label(whole)
-    kept = np.bincount(parts[marrow], minlength=2)
-    kept[0] = 0
-    return closed(parts == kept.argmax(), _NOTCH, spacing)
+    bone = np.zeros_like(marrow)
+    slices = np.flatnonzero(marrow.any(axis=(0, 1)))
+    for k in slices.tolist():
+        box = box_around(marrow[:, :, k], np.ceil((_THICKEST + 2.0) / in_plane))
+        part: tuple[slice | int, ...] = (*box, k)
+        here = marrow[part]
+        radius = np.sqrt(here.sum() * np.prod(in_plane) / np.pi)
+        outside = distance_to(here, in_plane)
+        wall = (dark[part] & (outside < min(_THICKEST, 4.0 + 1.2 * radius))) | (dip[part] & (outside < _THIN))
+        rim = (outside < 0.6) & (values[part] < intensities.between)
+        whole = opened(ndimage.binary_fill_holes(here | wall | rim), _LINE, in_plane) | here
+        parts, _ = ndimage.label(whole)
+        kept = np.bincount(parts[here], minlength=2)
+        kept[0] = 0
+        bone[part] = closed(parts == kept.argmax(), _NOTCH, in_plane)
+    _add_caps(bone, dark, (int(slices[0]), int(slices[-1])), spacing)
+    return evened(bone, spacing)
 
 
 def _add_caps(

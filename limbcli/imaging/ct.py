@@ -21,10 +21,7 @@ _TABLE = 6.0  # mm: thinner objects next to the limb (table, mould) are removed
 def limb_on_ct(volume: Volume, *, threshold: float | None = None) -> NDArray[np.bool_]:
     """The limb: the largest component above -350 HU (or `threshold`), filled, without thin supports.
 
-    Raises
-    ------
-    CaseError
-        If the values are not Hounsfield units (air is not near -1000).
+    Raises CaseError if the values are not Hounsfield units (air is not near -1000).
     """
     lowest = float(np.percentile(volume.values, 1))
     if lowest > -500.0:

@@ -70,19 +70,12 @@ class Series:
 def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     """Read the only DICOM series in a folder.
 
-    Parameters
-    ----------
     folder : searched recursively; other files (licence, DICOMDIR) are ignored. Or one multi-frame file
 
-    Returns
-    -------
-    Series, signal in the scanner's units (HU for CT)
+    Returns the series, signal in the scanner's units (HU for CT)
 
-    Raises
-    ------
-    CaseError
-        No DICOM files, no pixel data, two series; slices missing, duplicate, not parallel or of different
-        size; the message names the tag and the fix.
+    Raises CaseError for no DICOM files, no pixel data, two series; slices missing, duplicate, not parallel or
+    of different size; the message names the tag and the fix.
     """
     datasets = _images(folder, progress)
     try:

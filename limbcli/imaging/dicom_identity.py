@@ -35,10 +35,7 @@ def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ..
 
     datasets : (name to show in messages, header) of every image; no value of a tag is ever shown
 
-    Raises
-    ------
-    CaseError
-        If some images are of another patient, or another frame of reference, than the majority.
+    Raises CaseError if some images are of another patient, or another frame of reference, than the majority.
     """
     notes = []
     for keyword, tag, noun in _TAGS:

@@ -44,10 +44,7 @@ class NamedMasks:
 def read_dicom_seg(path: Path) -> NamedMasks:
     """Read the segments of a DICOM SEG file.
 
-    Raises
-    ------
-    CaseError
-        If the file is not a segmentation or lacks its geometry.
+    Raises CaseError if the file is not a segmentation or lacks its geometry.
     """
     try:
         dataset = read_dicom(path)

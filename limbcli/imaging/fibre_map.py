@@ -19,7 +19,7 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt, map_coordinates
 
 from limbcli.errors import CaseError
-from limbcli.imaging.nifti import Opened, nifti_values, open_nifti
+from limbcli.imaging.nifti import nifti_values, open_nifti
 from limbcli.imaging.volume import RAS_FROM_LPS, Volume
 from limbcli.model import Array
 
@@ -93,17 +93,18 @@ def read_fibre_map(path: Path, *, frame: str = "ras") -> FibreMap:
     frame : of the components: "ras", "lps", or "fsl" (the voxel axes, the first reversed if the image's
         determinant is positive)
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, has another number of components, lacks its position, lies in a template's
-        space, or contains no direction.
+    Raises CaseError if the file cannot be read, has another number of components, lacks its position, lies in
+    a template's space, or contains no direction.
     """
     image = open_nifti(path, noun="fibre map")
     if image.get_data_dtype().kind not in "fiu":
         raise CaseError("the fibre map is not a numeric NIfTI file", where=str(path), fix=_SAVE)
     shape = _shape(tuple(image.shape), path)
-    _check_frame(image, path)
+    code = int(image.header["sform_code"]) or int(image.header["qform_code"])
+    if code in _TEMPLATES:
+        what = f"the fibre map lies in another frame: {_TEMPLATES[code]}, not the patient's"
+        fix = "give the directions in the frame of the limb's own images (scanner coordinates)"
+        raise CaseError(what, where=str(path), fix=fix)
     values = nifti_values(image, path, noun="fibre map", dtype=np.float64).reshape(*shape, 3)
     if not np.isfinite(values).all():
         values = np.where(np.isfinite(values).all(axis=-1, keepdims=True), values, 0.0)
@@ -126,14 +127,6 @@ def _shape(shape: tuple[int, ...], path: Path) -> tuple[int, int, int]:
         note = f" ({hint[components]})" if components in hint else ""
         raise CaseError(what + note, where=str(path), fix=_SAVE, components=components)
     return int(shape[0]), int(shape[1]), int(shape[2])
-
-
-def _check_frame(image: Opened, path: Path) -> None:
-    code = int(image.header["sform_code"]) or int(image.header["qform_code"])
-    if code in _TEMPLATES:
-        what = f"the fibre map lies in another frame: {_TEMPLATES[code]}, not the patient's"
-        fix = "give the directions in the frame of the limb's own images (scanner coordinates)"
-        raise CaseError(what, where=str(path), fix=fix)
 
 
 def _to_lps(frame: str, affine: Array) -> Array:

@@ -48,10 +48,8 @@ class Slice:
 def slices_of(dataset: Dataset, name: str) -> list[Slice]:
     """Every image plane of one file; `name` is the file's, for messages.
 
-    Raises
-    ------
-    CaseError
-        Missing geometry, pixels that cannot be decoded, colour, another modality; the message names the tag.
+    Raises CaseError for missing geometry, pixels that cannot be decoded, colour, another modality; the
+    message names the tag.
     """
     _require_grey(dataset, name)
     pixels = _decoded(dataset, name)

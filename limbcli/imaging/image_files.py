@@ -28,10 +28,8 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
 
     A volume file does not state its modality: it is taken as CT if its air is below -500.
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, or is not one scalar volume of a limb with its position in the patient frame.
+    Raises CaseError if it cannot be read, or is not one scalar volume of a limb with its position in the
+    patient frame.
     """
     reader = _reader_of(path.name.lower())
     if path.is_dir() or (reader is None and has_preamble(path)):
@@ -44,7 +42,15 @@ def read_image(path: Path, *, progress: Progress = SILENT) -> Series:
             f"{', '.join(VOLUME_ENDINGS)}",
         )
     volume = _plausible(reader(path), path)
-    _require_image(volume, path)
+    # a label map has a few whole numbers, whatever its format
+    found = np.unique(volume.values[:, :, :: max(1, volume.shape[2] // 8)])
+    few = 1 < len(found) <= _MOST_LABELS and volume.values.size > _FEWEST_VOXELS
+    if few and np.array_equal(found, np.round(found)):
+        raise CaseError(
+            f"the image has {len(found)} different values only, all whole numbers: it is a label map",
+            where=str(path),
+            fix="[imaging] mri takes the image; a label map belongs in [imaging] labels",
+        )
     volume = volume.with_values(np.asarray(volume.values, dtype=np.float32))
     progress.event("note", text=f"{path.name}: {' x '.join(map(str, volume.shape))} voxels")
     notes: list[str] = []
@@ -76,18 +82,6 @@ def _reader_of(name: str) -> Callable[[Path], Volume] | None:
 
         return read_nrrd_image
     return None
-
-
-def _require_image(volume: Volume, path: Path) -> None:
-    """Refuse a label map: it has a few whole numbers, whatever its format."""
-    found = np.unique(volume.values[:, :, :: max(1, volume.shape[2] // 8)])
-    few = 1 < len(found) <= _MOST_LABELS and volume.values.size > _FEWEST_VOXELS
-    if few and np.array_equal(found, np.round(found)):
-        raise CaseError(
-            f"the image has {len(found)} different values only, all whole numbers: it is a label map",
-            where=str(path),
-            fix="[imaging] mri takes the image; a label map belongs in [imaging] labels",
-        )
 
 
 def _plausible(volume: Volume, path: Path) -> Volume:

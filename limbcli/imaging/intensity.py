@@ -64,14 +64,8 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     are determined alternately (the idea of Wells et al. 1996, IEEE TMI 15:429, with hard classes). Dark
     voxels (cortex, vessels, air) are excluded.
 
-    Parameters
-    ----------
     volume : image with k along the limb
     limb : bool array, the limb's rough outline
-
-    Returns
-    -------
-    TissueIntensities
     """
     step = np.maximum(1, np.round(_WORK_SPACING / volume.spacing)).astype(int)
     coarse = _block_mean(volume.values, step)
@@ -82,7 +76,9 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     floor = 0.3 * np.median(coarse[inside])
     use = inside & (coarse > floor)
     log_signal = np.log(np.maximum(coarse, floor))
-    field = _slope(log_signal, use & _deep(inside, volume.spacing * step))
+    # well under the skin, most is muscle
+    within_slices = np.array([*(volume.spacing * step)[:2], 1e6])
+    field = _slope(log_signal, use & (depth_inside(inside, within_slices) > _DEEP))
     split = otsu((log_signal - field)[use])
     low, high = use & (log_signal - field < split), use & (log_signal - field >= split)
     intensities = np.array([np.median((log_signal - field)[each]) for each in (low, high)])
@@ -99,12 +95,6 @@ def normalise(volume: Volume, limb: NDArray[np.bool_]) -> TissueIntensities:
     values = (volume.values / (shading * muscle)).astype(np.float32)
     fat_ratio = float(np.exp(intensities[1] - intensities[0]))
     return TissueIntensities(values=values, fat=fat_ratio, noise=_noise(values, limb))
-
-
-def _deep(inside: NDArray[np.bool_], spacing: Array) -> NDArray[np.bool_]:
-    """Voxels well under the skin, most of which are muscle."""
-    within_slices = [spacing[0], spacing[1], 1e6]
-    return np.asarray(depth_inside(inside, np.array(within_slices)) > _DEEP)
 
 
 def _slope(log_signal: Array, use: NDArray[np.bool_]) -> Array:

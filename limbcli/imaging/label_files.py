@@ -89,10 +89,8 @@ class LabelMap:
 def read_label_file(path: Path) -> Volume:
     """Read a label map of one file or folder, without a table or preset, in patient LPS.
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, its values or names are not understood, or soft tissue or bone is missing.
+    Raises CaseError if the file cannot be read, its values or names are not understood, or soft tissue or
+    bone is missing.
     """
     return read_label_map((LabelSource(path),)).volume
 
@@ -105,10 +103,8 @@ def read_label_map(sources: Sequence[LabelSource], *, is_whole: bool = True) -> 
 
     is_whole : whether soft tissue is required; without, an image can supply it
 
-    Raises
-    ------
-    CaseError
-        If a file cannot be read; listing all its segments that are not understood; if a tissue is missing.
+    Raises CaseError if a file cannot be read; listing all its segments that are not understood; if a tissue
+    is missing.
     """
     named = [(source, *each) for source in sources for each in read_segments(source)]
     path = sources[0].path
@@ -146,10 +142,7 @@ def read_label_map(sources: Sequence[LabelSource], *, is_whole: bool = True) -> 
 def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
     """The segments of one source and what each is; empty ones whose name is not understood are left out.
 
-    Raises
-    ------
-    CaseError
-        If a file cannot be read, or listing every number or name that is not understood.
+    Raises CaseError if a file cannot be read, or listing every number or name that is not understood.
     """
     segments = [
         replace(each, name=source.titles.get(str(each.number), each.name)) for each in _segments(source.path)
@@ -292,10 +285,7 @@ def _key(segment: Segment) -> str:
 def label_lines(source: LabelSource) -> list[str]:
     """A line for each kind of tissue in a source: which numbers and names are taken for it.
 
-    Raises
-    ------
-    CaseError
-        As `read_segments`.
+    Raises CaseError as `read_segments`.
     """
     found = [(source, *each) for each in read_segments(source)]
     return _lines(source, [each for each in found if each[2].label == OUTSIDE or each[1].mask().values.any()])

@@ -57,7 +57,12 @@ def compare_frames(labels: Volume, image: Volume, *, where: str, up_to_skin: boo
         )
         return Agreement(True, None, (Problem(what, where, _FIX),))
     limb = np.isin(labels.values, (SOFT_TISSUE, BONE, FAT))
-    beyond = _share_beyond(labels, limb, image)
+    # fraction of the limb's voxels (a sample) that lie outside the image by more than a voxel
+    index = np.argwhere(limb)
+    index = index[:: max(1, len(index) // 100_000)]
+    at = image.to_voxel(labels.to_patient(index.astype(float)))
+    outside = (at < -1.5).any(axis=1) | (at > np.array(image.shape) + 0.5).any(axis=1)
+    beyond = float(outside.mean())
     if beyond > _BEYOND:
         what = f"{beyond:.0%} of the label map's limb lies outside the MRI series"
         return Agreement(True, None, (Problem(what, where, _FIX),))
@@ -109,15 +114,6 @@ def same_grid(labels: Volume, image: Volume) -> bool:
     return bool(
         apart.min(axis=1).max() < SAME_PLACE * image.spacing.min() and len(set(nearest)) == len(nearest)
     )
-
-
-def _share_beyond(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:
-    """Fraction of the limb's voxels (a sample) that lie outside the image by more than a voxel."""
-    index = np.argwhere(limb)
-    index = index[:: max(1, len(index) // 100_000)]
-    at = image.to_voxel(labels.to_patient(index.astype(float)))
-    outside = (at < -1.5).any(axis=1) | (at > np.array(image.shape) + 0.5).any(axis=1)
-    return float(outside.mean())
 
 
 def _overlap(labels: Volume, limb: NDArray[np.bool_], image: Volume) -> float:

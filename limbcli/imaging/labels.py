@@ -79,10 +79,7 @@ def checked_labels(labels: Volume, path: Path, *, is_whole: bool = True) -> Volu
 def require_three_dimensions(labels: Volume, path: Path) -> None:
     """Refuse a label map that is not three-dimensional, or has fewer than 3 voxels along an axis.
 
-    Raises
-    ------
-    CaseError
-        If it is so.
+    Raises CaseError if it is so.
     """
     if labels.values.ndim != 3 or min(labels.values.shape) < 3:
         raise CaseError(

@@ -36,10 +36,7 @@ def one_limb(volume: Volume, side: Side | None, *, threshold: float | None = Non
 
     side : "left" or "right" of the patient; required if two limbs are in view
 
-    Raises
-    ------
-    CaseError
-        Two limbs in view and no side given, or more than two limbs.
+    Raises CaseError for two limbs in view and no side given, or more than two limbs.
     """
     level = background_threshold(volume.values) if threshold is None else threshold
     sigma = 1.0 / volume.spacing
@@ -83,10 +80,7 @@ def _without(volume: Volume, parts: NDArray[np.int_], wanted: int, other: int) -
 def require_bright_fat(volume: Volume, limb: NDArray[np.bool_]) -> None:
     """Refuse an image in which subcutaneous fat is darker than deep tissue: no T1 contrast.
 
-    Raises
-    ------
-    CaseError
-        With possible fixes.
+    Raises CaseError with possible fixes.
     """
     depth = np.zeros(limb.shape, np.float32)
     for k in range(limb.shape[2]):

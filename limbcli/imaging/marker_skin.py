@@ -24,9 +24,8 @@ _LARGEST_MOVE = 4.0  # mm: a larger displacement of the skin is not due to a mar
 def without_bumps(skin: Triangles, markers: Sequence[MarkerCapsule]) -> tuple[Triangles, list[float]]:
     """The skin with each marker's footprint projected onto a quadric fitted to the surrounding skin.
 
-    Returns
-    -------
-    surface with the same triangles; mm by which the skin at each marker was lowered (negative: raised)
+    Returns the surface with the same triangles; mm by which the skin at each marker was lowered (negative:
+    raised)
     """
     points = skin.points.copy()
     normals = skin.point_normals
@@ -51,18 +50,14 @@ def _smoothed(points: Array, normals: Array, marker: MarkerCapsule) -> tuple[Arr
         return points, 0.0
     terms = np.stack([np.ones_like(x), x, y, x * x, x * y, y * y], axis=1)
     quadric = np.linalg.lstsq(terms[ring], z[ring], rcond=None)[0]
-    lowered = (z - terms @ quadric) * _weight(away, reach)
+    # 1 on the footprint, 0 beyond the transition, smooth in between
+    t = np.clip((away - reach) / _BLEND, 0.0, 1.0)
+    lowered = (z - terms @ quadric) * (1.0 - t * t * (3.0 - 2.0 * t))
     if np.abs(lowered).max() > _LARGEST_MOVE:
         return points, 0.0
     out = points.copy()
     out[near] -= np.outer(lowered, axis / np.linalg.norm(axis))
     return out, float(lowered[np.argmin(away)])
-
-
-def _weight(away: Array, reach: float) -> Array:
-    """1 on the footprint, 0 beyond the transition, smooth in between."""
-    t = np.clip((away - reach) / _BLEND, 0.0, 1.0)
-    return np.asarray(1.0 - t * t * (3.0 - 2.0 * t))
 
 
 def _local(offsets: Array, axis: Array) -> tuple[Array, Array, Array]:

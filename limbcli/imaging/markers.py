@@ -50,15 +50,9 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
     centre of the limb, from anterior over the patient's left and posterior to the right. Slightly to the
     right of anterior still counts as anterior, so that a marker placed in front keeps its number.
 
-    Parameters
-    ----------
     volume : image with k along the limb towards proximal
     intensities : its normalised values
     limb : everything that stands out from the air, with or without markers
-
-    Returns
-    -------
-    FoundMarkers
     """
     spacing = volume.spacing
     body = _body(limb, spacing)

@@ -49,15 +49,9 @@ def find_marrow(
     bone. Starting from them, the marrow is tracked through the other slices, where cortex has thinned to a
     faint line, up to its ends.
 
-    Parameters
-    ----------
     intensities, limb : normalised image and limb mask, k along the limb
     spacing : mm
     seeds : voxel indices (n, 3) inside marrow, each a bone of its own or part of one that was found
-
-    Returns
-    -------
-    list of bool arrays
     """
     smooth = ndimage.gaussian_filter(intensities.values, [0.34 / spacing[0], 0.34 / spacing[1], 0])
     parts = np.zeros(limb.shape, np.int32)
@@ -66,7 +60,22 @@ def find_marrow(
         scores.append((candidate.enclosed, candidate.solidity))
         region = parts[*candidate.box, candidate.k]
         region[candidate.mask] = len(scores) - 1
-    tracks = _tracks(parts, np.array(scores), spacing)
+    # Join candidates that are connected along the limb and certain (nearly closed rings in at least 30 % of
+    # them), or well enclosed and convex.
+    linked, _ = ndimage.label(parts > 0)
+    by_number, tracks = np.array(scores), []
+    for number, box in enumerate(ndimage.find_objects(linked), 1):
+        here = linked[box] == number
+        length = (box[2].stop - box[2].start) * spacing[2]
+        members = np.unique(parts[box][here])
+        members = members[members > 0]
+        enclosed, solidity = by_number[members].T
+        good = (enclosed >= _SURE).mean() >= 0.3
+        good |= enclosed.mean() >= _ROUND and solidity.mean() >= _CONVEX
+        if length >= _LEAST_LENGTH and good:
+            track = np.zeros(parts.shape, bool)
+            track[box] = here
+            tracks.append(track)
     for seed in () if seeds is None else np.round(seeds).astype(int):
         if not any(track[tuple(seed)] for track in tracks):
             tracks.append(_planted(smooth, intensities, tuple(seed), spacing))
@@ -110,29 +119,6 @@ def _dark_share(mask: NDArray[np.bool_], values: NDArray[np.float32], spacing: A
     np.minimum.at(darkest, edge, values[band])
     on_edge = np.isfinite(darkest)
     return float((darkest[on_edge] < _DARK).mean()) if on_edge.any() else 0.0
-
-
-def _tracks(parts: NDArray[np.int32], scores: Array, spacing: Array) -> list[NDArray[np.bool_]]:
-    """Join candidates that are connected along the limb and certain, or well enclosed and convex.
-
-    Certain means nearly closed rings in at least 30 % of the candidates. scores (n, 2): enclosed fraction and
-    solidity by number.
-    """
-    linked, _ = ndimage.label(parts > 0)
-    tracks = []
-    for number, box in enumerate(ndimage.find_objects(linked), 1):
-        here = linked[box] == number
-        length = (box[2].stop - box[2].start) * spacing[2]
-        members = np.unique(parts[box][here])
-        members = members[members > 0]
-        enclosed, solidity = scores[members].T
-        good = (enclosed >= _SURE).mean() >= 0.3
-        good |= enclosed.mean() >= _ROUND and solidity.mean() >= _CONVEX
-        if length >= _LEAST_LENGTH and good:
-            track = np.zeros(parts.shape, bool)
-            track[box] = here
-            tracks.append(track)
-    return tracks
 
 
 def _planted(

@@ -34,10 +34,7 @@ def read_metaimage(path: Path, *, noun: str = "image") -> Volume:
 
     noun : what the file is, for the messages ("image", "label map")
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, holds several values per voxel, or lacks its position.
+    Raises CaseError if it cannot be read, holds several values per voxel, or lacks its position.
     """
     try:
         content = path.read_bytes()

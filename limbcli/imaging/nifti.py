@@ -66,11 +66,8 @@ class _NoOrientationError(Exception):
 def read_nifti(path: Path) -> Volume:
     """Read one scalar volume with its geometry, scaled by the header's slope and intercept, in patient LPS.
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, contains several volumes, colours or complex numbers, or lacks its
-        position; each with its own message.
+    Raises CaseError if the file cannot be read, contains several volumes, colours or complex numbers, or
+    lacks its position; each with its own message.
     """
     image = open_nifti(path, noun="image")
     _require_one_scalar_volume(image, path)
@@ -81,10 +78,7 @@ def read_nifti(path: Path) -> Volume:
 def read_nifti_labels(path: Path) -> tuple[Volume, dict[int, str]]:
     """Read a label map in any numbers, in patient LPS, and the names that it gives them.
 
-    Raises
-    ------
-    CaseError
-        If the file cannot be read, or lacks its position in the patient frame.
+    Raises CaseError if the file cannot be read, or lacks its position in the patient frame.
     """
     image = open_nifti(path, noun="label map")
     values = nifti_values(image, path, noun="label map")
@@ -98,11 +92,8 @@ def open_nifti(path: Path, *, noun: str) -> Opened:
 
     noun : what the file is, for the messages ("image", "label map")
 
-    Raises
-    ------
-    CaseError
-        If it is none, damaged, or its packed content is not as long as its header says; if it does not say
-        where it lies in the patient, or says it in two ways.
+    Raises CaseError if it is none, damaged, or its packed content is not as long as its header says; if it
+    does not say where it lies in the patient, or says it in two ways.
     """
     try:
         with _quiet():
@@ -123,10 +114,7 @@ def open_nifti(path: Path, *, noun: str) -> Opened:
 def nifti_values(image: Opened, path: Path, *, noun: str, dtype: DTypeLike | None = None) -> NDArray:
     """The values of a file that `open_nifti` opened.
 
-    Raises
-    ------
-    CaseError
-        If they cannot be read, or are more than a limb's image can have.
+    Raises CaseError if they cannot be read, or are more than a limb's image can have.
     """
     if math.prod(image.shape[:3]) > MOST_VOXELS or math.prod(image.shape) > _MOST_VALUES:
         listed = " x ".join(map(str, image.shape[:3]))
@@ -216,10 +204,7 @@ def _one_geometry(image: Opened, path: Path, *, noun: str) -> None:
     is 1, and shows the qform otherwise. Both must therefore give the same position, whatever their codes; one
     whose code is 0 is not there, for either.
 
-    Raises
-    ------
-    CaseError
-        Naming the contradiction.
+    Raises CaseError naming the contradiction.
     """
     header = image.header
     fix = "export it again from 3D Slicer with the MRI series as its reference volume"

@@ -54,10 +54,7 @@ def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
 
     noun : what the file is, for the messages
 
-    Raises
-    ------
-    CaseError
-        If it is not NRRD, of an unsupported kind, or lacks its position; the message says which.
+    Raises CaseError if it is not NRRD, of an unsupported kind, or lacks its position; the message says which.
     """
     fields, pairs, data = _parts(path, noun)
     _check_geometry(fields, path, noun)
@@ -76,11 +73,8 @@ def read_nrrd(path: Path, *, noun: str = "label map") -> Nrrd:
 def read_nrrd_image(path: Path) -> Volume:
     """Read one scalar volume of a NRRD file, in patient LPS.
 
-    Raises
-    ------
-    CaseError
-        If it cannot be read, contains several volumes or colours, or lacks its position; each with its own
-        message.
+    Raises CaseError if it cannot be read, contains several volumes or colours, or lacks its position; each
+    with its own message.
     """
     fields, _, _ = _parts(path, "image")
     kinds = fields.get("kinds", "").lower().split()
@@ -146,10 +140,7 @@ def _parts(path: Path, noun: str) -> tuple[dict[str, str], dict[str, str], bytes
 def read_beside(header: Path, name: str, *, noun: str) -> bytes:
     """The content of the file with the data of a header.
 
-    Raises
-    ------
-    CaseError
-        If the header names several files, or one that is not in its folder.
+    Raises CaseError if the header names several files, or one that is not in its folder.
     """
     found = beside(header, name)
     if found is None:

@@ -63,7 +63,9 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
     judge("limb_jump_share", _jump(limb), _JUMP, "the limb's cross-section changes by {:.0%} within 5 mm")
     judge("limb_cut_share", _cut_off(limb.values), _BORDER, "the image's side cuts off {:.0%} of the limb")
     judge("limb_holes_mm3", _holes(limb), _HOLE, "the limb has holes of {:.0f} mm3")
-    turned = _ends_proximally(limb)
+    # a limb is cut proximally and ends distally; a wrong orientation tag reverses it
+    areas = _areas(limb.values)
+    turned = int(areas[0] > 0.3 * areas.max() and areas[-1] == 0)
     judge("limb_ends_proximally", turned, (0, 2), "the limb ends towards the head: upside down?")
     judge(
         "limb_in_two_share", _in_two(limb), _TWO_LIMBS,
@@ -124,15 +126,6 @@ def _jump(mask: Volume) -> float:
 def _gaps(mask: NDArray[np.bool_]) -> int:
     filled = np.flatnonzero(_areas(mask))
     return int(filled[-1] - filled[0] + 1 - len(filled))
-
-
-def _ends_proximally(limb: Volume) -> int:
-    """1 if the limb is cut by the distal face of the image but ends inside it proximally.
-
-    In a scan of a limb it is the other way round; a wrong orientation tag reverses it.
-    """
-    areas = _areas(limb.values)
-    return int(areas[0] > 0.3 * areas.max() and areas[-1] == 0)
 
 
 def _in_two(limb: Volume) -> float:

@@ -91,20 +91,11 @@ def segment_limb(
 ) -> Segmentation:
     """Segment skin, bones, fat and markers of a limb.
 
-    Parameters
-    ----------
     image : T1-weighted image, or CT in HU, of one limb (or two: then `hints.side`), any orientation
     modality : "CT" for Hounsfield units; anything else is treated as T1
 
-    Returns
-    -------
-    Segmentation
-
-    Raises
-    ------
-    CaseError
-        If no limb stands out from the background, two do, fat is not bright, or a seed lies outside the image
-        or, for a bone seed, outside the limb.
+    Raises CaseError if no limb stands out from the background, two do, fat is not bright, or a seed lies
+    outside the image or, for a bone seed, outside the limb.
     """
     hints = hints or SegmentationHints()
     _require_within(image, hints)

@@ -24,10 +24,7 @@ _LEAST_VOLUME = 5e4  # smallest volume of a limb, mm^3
 def rough_outline(volume: Volume, *, threshold: float | None = None) -> NDArray[np.bool_]:
     """The limb without distinguishing its tissues: the largest component above the air, filled.
 
-    Raises
-    ------
-    CaseError
-        If nothing as large as a limb stands out from the background.
+    Raises CaseError if nothing as large as a limb stands out from the background.
     """
     values = _blurred(volume)
     level = background_threshold(values) if threshold is None else threshold

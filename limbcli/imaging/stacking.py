@@ -21,10 +21,7 @@ _CHANGED = 1.5  # ratio of spacings above which the spacing changes within the s
 def stack(slices: list[Slice], heights: Array, step: float) -> tuple[Volume, tuple[str, ...]]:
     """A Volume indexed [column, row, slice], rectangular and evenly spaced.
 
-    Raises
-    ------
-    CaseError
-        If two adjacent slices do not overlap in their plane.
+    Raises CaseError if two adjacent slices do not overlap in their plane.
     """
     values = np.stack([each.pixels.T for each in slices], axis=2)
     first = slices[0]

@@ -30,20 +30,14 @@ _SHARE_OF_SLICE = 0.45  # ... or this fraction of the slice spacing, if that is 
 def surface_of(mask: Volume, *, edge: float, smooth: float = SMOOTH, where: str = "surface") -> Triangles:
     """The closed surface of a mask.
 
-    Parameters
-    ----------
     mask : Volume of bool
     edge : about the length of a triangle's edge, mm
     smooth : standard deviation of the smoothing, mm
 
-    Returns
-    -------
-    Triangles in patient LPS, watertight and two-manifold
+    Returns triangles in patient LPS, watertight and two-manifold
 
-    Raises
-    ------
-    MeshError
-        If the mask is empty, so thin that smoothing leaves nothing, or no closed surface comes out.
+    Raises MeshError if the mask is empty, so thin that smoothing leaves nothing, or no closed surface comes
+    out.
 
     >>> grid = np.indices((24, 24, 24)) - 11.5
     >>> ball = Volume((grid**2).sum(axis=0) < 81, np.diag([1.0, 1.0, 1.0, 1.0]))

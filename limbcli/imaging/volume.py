@@ -79,9 +79,7 @@ class Volume:
     def along_limb(self) -> tuple[Volume, tuple[int, ...], bool]:
         """The image with k along the limb, increasing towards proximal (the head).
 
-        Returns
-        -------
-        volume, the order of axes, and whether k was reversed; `back` undoes it.
+        Returns the volume, the order of axes, and whether k was reversed; `back` undoes it.
 
         >>> values = np.arange(24).reshape(2, 3, 4)
         >>> coronal = Volume(values, np.array([[1.0, 0, 0, 0], [0, 0, 1, 0], [0, -1, 0, 0], [0, 0, 0, 1]]))
@@ -108,11 +106,8 @@ def require_placed(affine: Array, path: Path | str, *, noun: str) -> Array:
 
     noun : what the file is, for the messages ("image", "label map")
 
-    Raises
-    ------
-    CaseError
-        If position or directions are no finite numbers, a direction has no length, or the three lie in one
-        plane.
+    Raises CaseError if position or directions are no finite numbers, a direction has no length, or the three
+    lie in one plane.
     """
     affine = np.asarray(affine, dtype=np.float64)
     fix = "export it again with its geometry, from 3D Slicer or the DICOM series"
@@ -146,10 +141,7 @@ def require_unit_directions(directions: Array, *, where: str, what: str, fix: st
 
     what : what they are, for the message
 
-    Raises
-    ------
-    CaseError
-        If they are not.
+    Raises CaseError if they are not.
     """
     directions = np.asarray(directions, dtype=np.float64)
     if not np.abs(directions @ directions.T - np.eye(len(directions))).max() <= _UNIT:  # also of NaN

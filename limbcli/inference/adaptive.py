@@ -140,27 +140,22 @@ class _Work:
         except SolveError:
             self.unsolved.append(self.problem.solved_at(theta))
             self.refused.append(theta)
-            self._draw_in(theta, name, side)
-
-    def _draw_in(self, theta: Array, name: str, side: int) -> None:
-        """Narrow the bounds where the model cannot be solved, half-way (in ln) between theta and the starts.
-
-        Only parameters that lie beyond the starts are narrowed: the one whose profile requested the point if
-        it is among them, else all those that are inputs of the simulation.
-        """
-        parameters, starts = self.problem.parameters, np.array(self.problem.starts())
-        least, most = starts.min(axis=0), starts.max(axis=0)
-        beyond = [k for k in self.problem.simulated if not least[k] <= theta[k] <= most[k]]
-        if not beyond:
-            beyond, least, most = list(self.problem.simulated), starts[0], starts[0]
-        own = [k for k in beyond if side != 0 and parameters[k].name == name]
-        for k in own or beyond:
-            if theta[k] > most[k]:
-                high = float(np.sqrt(theta[k] * most[k]))
-                parameters[k] = replace(parameters[k], high=min(parameters[k].high, high))
-            elif theta[k] < least[k]:
-                low = float(np.sqrt(theta[k] * least[k]))
-                parameters[k] = replace(parameters[k], low=max(parameters[k].low, low))
+            # The bounds are narrowed half-way (in ln) between theta and the starts, of parameters beyond the
+            # starts only: the one whose profile requested the point if it is among them, else all that are
+            # inputs of the simulation.
+            parameters, starts = self.problem.parameters, np.array(self.problem.starts())
+            least, most = starts.min(axis=0), starts.max(axis=0)
+            beyond = [k for k in self.problem.simulated if not least[k] <= theta[k] <= most[k]]
+            if not beyond:
+                beyond, least, most = list(self.problem.simulated), starts[0], starts[0]
+            own = [k for k in beyond if side != 0 and parameters[k].name == name]
+            for k in own or beyond:
+                if theta[k] > most[k]:
+                    high = float(np.sqrt(theta[k] * most[k]))
+                    parameters[k] = replace(parameters[k], high=min(parameters[k].high, high))
+                elif theta[k] < least[k]:
+                    low = float(np.sqrt(theta[k] * least[k]))
+                    parameters[k] = replace(parameters[k], low=max(parameters[k].low, low))
 
     def _is_new(self, theta: Array) -> bool:
         near = [float(np.max(np.abs(np.log(theta / other)))) for other in self.refused]

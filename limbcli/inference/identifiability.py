@@ -65,8 +65,6 @@ def log_covariance(
     A V A' with A = (S'S)^-1 S' (the sandwich estimator: the fit weighs all residuals equally although their
     variances differ), plus the contribution of each quantity that was held fixed: (A s)(A s)' sigma^2.
 
-    Parameters
-    ----------
     sensitivity : (n, p) d prediction / d ln theta
     variance : (n,) of the residuals
     nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)

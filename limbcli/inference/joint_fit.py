@@ -98,10 +98,7 @@ def joint_fit(
 
     starts : several initial guesses (c, shape...); each curve must hold at least two solved points
 
-    Raises
-    ------
-    FitError
-        If there are fewer levels than parameters, or no start leads to a fit.
+    Raises FitError if there are fewer levels than parameters, or no start leads to a fit.
     """
     n_levels, n_parameters = sum(len(each.force) for each in task.data), 1 + len(task.shape)
     if n_levels < n_parameters:

@@ -70,13 +70,8 @@ def least_squares_fit(
     The search ends when a step lowers the cost by at most `tolerance` relative to it, or is within
     `tolerance` relative to the parameters, or there is no descent direction.
 
-    Raises
-    ------
-    SolveError
-        If the model cannot be solved at the start values.
-    FitError
-        If the residual is not finite there, or the search has not converged after `max_iterations` and
-        `must_settle` is set.
+    Raises SolveError if the model cannot be solved at the start values; FitError if the residual is not
+    finite there, or the search has not converged after `max_iterations` and `must_settle` is set.
 
     Source: Voglis and Lagaris 2004, A rectangular trust region dogleg approach (`scipy.optimize`, "dogbox").
     """

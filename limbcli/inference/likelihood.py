@@ -126,20 +126,16 @@ class SiteBlock(DataBlock):
         c_ratio, gain, place = self.place(theta)
         answer, rest = self.emulator(place), self.log_speed_0
         if self.even_speed is not None:
-            answer, rest = self._with_even_speed(answer, place, self.even_speed(place))
+            # forces and speeds, and the speed at rest, of a curve whose speeds are relative to this one
+            even, even_slope = self.even_speed(place)
+            n, known = len(self.data.knots), np.maximum(answer.values, _LEAST)  # surrogates may give anything
+            by_log = answer.slopes * place / known[:, None]
+            speeds = known[n : 2 * n] * np.exp(even)
+            slopes = (by_log[n : 2 * n] + even_slope) * speeds[:, None] / place
+            at_rest = even + float(np.log(known[2 * n])), even_slope + by_log[2 * n]
+            values, jacobian = np.concatenate([known[:n], speeds]), np.vstack([answer.slopes[:n], slopes])
+            answer, rest = Prediction(values, jacobian), lambda _shape: at_rest
         return predict_site(answer, self.data, place, c_ratio=c_ratio, gain=gain, log_speed_0=rest)
-
-    def _with_even_speed(
-        self, answer: Prediction, place: Array, even: tuple[float, Array]
-    ) -> tuple[Prediction, RestSpeed]:
-        """Forces and speeds, and the speed at rest, of a curve whose speeds are relative to `even`."""
-        n, known = len(self.data.knots), np.maximum(answer.values, _LEAST)  # surrogates may give anything
-        by_log = answer.slopes * place / known[:, None]
-        speeds = known[n : 2 * n] * np.exp(even[0])
-        slopes = (by_log[n : 2 * n] + even[1]) * speeds[:, None] / place
-        rest = even[0] + float(np.log(known[2 * n])), even[1] + by_log[2 * n]
-        values, jacobian = np.concatenate([known[:n], speeds]), np.vstack([answer.slopes[:n], slopes])
-        return Prediction(values, jacobian), lambda _shape: rest
 
     def residual(self, theta: Array) -> tuple[Array, Array]:
         data, found, weights = self.data, self.predict(theta), self.weights
@@ -277,10 +273,7 @@ class Likelihood:
         """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those
         that are too uncertain, or else the farthest from any solved point.
 
-        Raises
-        ------
-        SolveError
-            If the model cannot be solved there.
+        Raises SolveError if the model cannot be solved there.
         """
         for emulator in dict.fromkeys(each.emulator for each in self.blocks):
             own = [each for each in self.blocks if each.emulator is emulator]

@@ -95,16 +95,11 @@ def pchip_sample(knots: Array, values: Array, places: Array) -> Sample:
 
     The same curve as `scipy.interpolate.PchipInterpolator` and MATLAB's `pchip`.
 
-    Parameters
-    ----------
     knots : (n_knots,) strictly increasing, n_knots >= 2
     values : (n_knots,)
     places : (n,) within the knots
 
-    Raises
-    ------
-    FitError
-        If the knots do not increase, or a place lies outside them.
+    Raises FitError if the knots do not increase, or a place lies outside them.
 
     >>> sample = pchip_sample(np.array([0.0, 1.0, 2.0]), np.array([0.0, 1.0, 4.0]), np.array([0.5, 2.0]))
     >>> sample.values

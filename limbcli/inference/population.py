@@ -292,7 +292,16 @@ def _errors(
     scores = np.concatenate([pulled, apart * pulled - 1.0], axis=2)  # complete data, by draw and row
     own = np.einsum("dn,dni->ni", weights, scores)
     lost = np.einsum("dn,dni,dnj->ij", weights, scores - own, scores - own)
-    complete = _complete_information(apart, weights, precision, prior / np.outer(deviation, deviation))
+    # information matrix (2 p, 2 p) of the complete data (rows whose parameters are observed), including the
+    # prior on the spread
+    p = len(precision)
+    summed = np.einsum("dn,dni->i", weights, apart)
+    squares = np.einsum("dn,dni,dnj->ij", weights, apart, apart) + (prior / np.outer(deviation, deviation))
+    complete = np.empty((2 * p, 2 * p))
+    complete[:p, :p] = apart.shape[1] * precision
+    complete[:p, p:] = precision * summed + np.diag(precision @ summed)
+    complete[p:, :p] = complete[:p, p:].T
+    complete[p:, p:] = squares * precision + np.diag(np.diag(precision @ squares))
     information, ways = np.linalg.eigh(complete - lost)
     errors = (ways / np.maximum(information, _LEAST_INFORMATION)) @ ways.T
     variance = np.diag(errors)
@@ -305,27 +314,14 @@ def _errors(
     return np.asarray(np.sqrt(variance))
 
 
-def _complete_information(apart: Array, weights: Array, precision: Array, prior: Array) -> Array:
-    """Information matrix (2 p, 2 p) of the complete data (rows whose parameters are observed), including the
-    prior on the spread."""
-    p = len(precision)
-    summed = np.einsum("dn,dni->i", weights, apart)
-    squares = np.einsum("dn,dni,dnj->ij", weights, apart, apart) + prior
-    out = np.empty((2 * p, 2 * p))
-    out[:p, :p] = apart.shape[1] * precision
-    out[:p, p:] = precision * summed + np.diag(precision @ summed)
-    out[p:, :p] = out[:p, p:].T
-    out[p:, p:] = squares * precision + np.diag(np.diag(precision @ squares))
-    return out
-
-
 def _rows(
     problem: _Problem, population: Population, mode: Array, points: Array, weights: Array, seed: int
 ) -> Rows:
     middle, covariance = _moments(points, weights)
     # Fraction of a shift of the population mean by which the row's estimate shifts.
     taken = covariance @ _inverse(population.spread)
-    mean_errors = _mean_errors(population, points.shape, seed)
+    rng = np.random.default_rng([seed, 1])
+    mean_errors = np.asarray(rng.standard_t(population.n_people - 1, points.shape) * population.mean_error)
     shifted = points + np.einsum("nij,dnj->dni", taken, mean_errors)
     low, high = (_quantiles(shifted, weights, q) for q in (_LOW, _HIGH))
     variance = np.einsum("nii->ni", covariance)
@@ -333,12 +329,6 @@ def _rows(
     misfit = _misfit(problem, population.mean, population.spread)
     effective = 1.0 / np.sum(weights**2, axis=0)
     return Rows(middle, np.sqrt(variance), low, high, mode, effective, shrinkage, misfit)
-
-
-def _mean_errors(population: Population, shape: tuple[int, ...], seed: int) -> Array:
-    """Draws (DRAWS, n, p) of the error of the population mean, independent for each row."""
-    rng = np.random.default_rng([seed, 1])
-    return np.asarray(rng.standard_t(population.n_people - 1, shape) * population.mean_error)
 
 
 def _quantiles(points: Array, weights: Array, q: float) -> Array:

@@ -62,8 +62,6 @@ ParallelMap = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
 class Differences:
     """Adds forward-difference derivatives to a curve that has none.
 
-    Parameters
-    ----------
     evaluate : theta -> values (n,)
     upper : (n_parameters,) upper bounds; where a step would cross one, or the shifted set cannot be solved,
         the step is taken downwards

@@ -70,10 +70,7 @@ class Profile:
 def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Sequence[Array]) -> Fit:
     """The fit with the lowest cost from several starts; starts that cannot be solved are skipped.
 
-    Raises
-    ------
-    FitError
-        If no start leads to a fit.
+    Raises FitError if no start leads to a fit.
     """
     fits = []
     for start in starts:

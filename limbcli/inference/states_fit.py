@@ -110,10 +110,7 @@ def states_fit(
     max_rounds : largest number of rounds of simulations for the intervals; each round simulates every state
         that needs it. The rounds that refine the best fit come before and are not counted.
 
-    Raises
-    ------
-    FitError
-        If there are fewer data than parameters, or no start leads to a fit.
+    Raises FitError if there are fewer data than parameters, or no start leads to a fit.
     """
     n_levels = sum(len(each.force) for each in task.data)
     n_speeds = sum(len(each.log_speed) for each in task.data)

@@ -116,10 +116,7 @@ def two_step(
     Each iteration first tries the minimum on a surrogate of the solved points, which saves simulations; the
     end point must pass the same tests as without.
 
-    Raises
-    ------
-    FitError
-        With fewer than three loaded levels, or if a step does not converge.
+    Raises FitError with fewer than three loaded levels, or if a step does not converge.
     """
     n_loaded = int(match.data.loaded.sum())
     if n_loaded < 3:

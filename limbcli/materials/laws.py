@@ -41,10 +41,7 @@ def is_three_field(law: str, kind: str) -> bool:
 def register(law: Law) -> None:
     """Register a law defined outside the package under its name, for this process.
 
-    Raises
-    ------
-    SolveError
-        If its name, or FEBio's name for it, is already in use.
+    Raises SolveError if its name, or FEBio's name for it, is already in use.
     """
     by_febio = {each.febio.material: each.name for each in LAWS.values() if each.febio is not None}
     taken = law.name if law.name in LAWS or law.name in WRAPPERS else None

@@ -8,7 +8,7 @@ to parameters.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -56,7 +56,6 @@ class Compiled:
     leaves: tuple[Leaf, ...]
     prony: tuple[float, tuple[tuple[float, float], ...]] | None = None
     prestrain: tuple[Array, Value] | None = None
-    _offsets: tuple[int, ...] = field(default=())
 
     @property
     def varies(self) -> bool:

@@ -1,6 +1,6 @@
 """Stress and tangent at sixteen points at once: the counterpart of `dispatch.second_piola` for element loops.
 
-All data of the sixteen points are stored in rows of one flat array (`simd_rows`). Ogden's unconstrained law,
+All data of the sixteen points are stored in rows of one flat array (`simd`). Ogden's unconstrained law,
 the tissue's, is vectorised with its own implementation; every other law is added point by point by
 `second_piola`, so that a new law needs no code here. tests/materials/test_simd.py checks that both agree.
 
@@ -13,13 +13,12 @@ from __future__ import annotations
 from limbcli.materials.dispatch import second_piola
 from limbcli.materials.kernel import OGDEN
 from limbcli.materials.ogden import all_squares
-from limbcli.materials.simd import LANES, add_product, add_three
-from limbcli.materials.simd_ogden import add_powers, add_pressure, add_squares, principal_stretches
-from limbcli.materials.simd_rows import (
+from limbcli.materials.simd import (
     ALPHA,
     BETA,
     CC,
     KAPPA,
+    LANES,
     SHIFT,
     UPPER,
     C,
@@ -30,7 +29,10 @@ from limbcli.materials.simd_rows import (
     P,
     S,
     X,
+    add_product,
+    add_three,
 )  # fmt: skip
+from limbcli.materials.simd_ogden import add_powers, add_pressure, add_squares, principal_stretches
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT
 from limbcli.numbers.compiled import njit
 

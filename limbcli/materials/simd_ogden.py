@@ -9,13 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.materials.elementary import expm1, log, series_log
-from limbcli.materials.simd import LANES, add_product
-from limbcli.materials.simd_rows import (
+from limbcli.materials.simd import (
     ALPHA,
     BETA,
     CC,
     KAPPA,
+    LANES,
     LOGS,
     MINUS,
     PLUS,
@@ -31,6 +30,10 @@ from limbcli.materials.simd_rows import (
     P,
     S,
     X,
+    add_product,
+    expm1,
+    log,
+    series_log,
 )  # fmt: skip
 from limbcli.materials.tensors import FIRST, SECOND
 from limbcli.numbers.compiled import njit

@@ -54,10 +54,7 @@ def find_bone(image: UltrasoundImage) -> BoneLine:
     An aponeurosis is as bright, but the muscle behind it still echoes; behind bone the image is dark compared
     with the tissue above. If nothing satisfies this, no bone is reported.
 
-    Raises
-    ------
-    MeasurementError
-        If nothing in the image looks like bone.
+    Raises MeasurementError if nothing in the image looks like bone.
     """
     strip, step = _strip(image)
     smooth = gaussian_filter(strip, (0.4 / step, 1.0 / step))
@@ -106,10 +103,7 @@ def follow_bone(
     bone : mm below the probe face at the first level, or at every level (then there is no search); None:
         detected automatically
 
-    Raises
-    ------
-    MeasurementError
-        If the line cannot be found or is lost; the message names the image.
+    Raises MeasurementError if the line cannot be found or is lost; the message names the image.
     """
     if isinstance(bone, Sequence):
         return _stated(images, bone)
@@ -155,10 +149,8 @@ def follow_line(
     largest_change : search range, mm; name, by_hand : name of the line, and the column for a reading by hand;
         half : half height of the compared strip, mm
 
-    Raises
-    ------
-    MeasurementError
-        If the scale changes, the best correlation is too low, or it lies at the end of the search range.
+    Raises MeasurementError if the scale changes, the best correlation is too low, or it lies at the end of
+    the search range.
     """
     old, old_step = _strip(previous)
     new, step = _strip(image)

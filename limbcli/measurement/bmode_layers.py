@@ -32,10 +32,8 @@ def follow_borders(
     stated : thickness (mm) of skin, then of fat, at the first level (it is then tracked) or at every level
     bone : the bone line at every level
 
-    Raises
-    ------
-    MeasurementError
-        If fat is given without skin, an interface is lost, or interfaces cross each other or the bone.
+    Raises MeasurementError if fat is given without skin, an interface is lost, or interfaces cross each other
+    or the bone.
     """
     if stated and next(iter(stated)) != "skin":
         raise MeasurementError(
@@ -49,7 +47,15 @@ def follow_borders(
             lines = _by_hand(images, name, thickness, above)
         else:
             lines = _followed(images, name, above[0] + float(thickness))
-        _check_order(images, name, lines, above, bone)
+        # the interfaces must be in order down to the bone
+        for image, line, top, end in zip(images, lines, above, bone, strict=True):
+            if not top + _APART <= line.distance <= end.distance - _APART:
+                raise MeasurementError(
+                    f"the border of the {name} would be {line.distance:.1f} mm below the probe face, between "
+                    f"{top:.1f} mm (what lies above) and the bone at {end.distance:.1f} mm: interfaces cross",
+                    where=image.where,
+                    fix=f"check {name}_mm of level 0, or state it for every level as a list",
+                )
         found[name], above = lines, [each.distance for each in lines]
     return found
 
@@ -74,18 +80,3 @@ def _by_hand(
             where=str(images[0].path.parent), fix="state one per image, or only that of the first",
         )  # fmt: skip
     return [BoneLine(top + float(each), _BY_HAND, 1.0) for top, each in zip(above, thickness, strict=True)]
-
-
-def _check_order(
-    images: Sequence[UltrasoundImage], name: str, lines: Sequence[BoneLine], above: Sequence[float],
-    bone: Sequence[BoneLine],
-) -> None:  # fmt: skip
-    """Check that the interfaces are in order down to the bone."""
-    for image, line, top, end in zip(images, lines, above, bone, strict=True):
-        if not top + _APART <= line.distance <= end.distance - _APART:
-            raise MeasurementError(
-                f"the border of the {name} would be {line.distance:.1f} mm below the probe face, between "
-                f"{top:.1f} mm (what lies above) and the bone at {end.distance:.1f} mm: interfaces cross",
-                where=image.where,
-                fix=f"check {name}_mm of level 0, or state it for every level as a list",
-            )

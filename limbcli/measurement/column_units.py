@@ -121,11 +121,8 @@ def factor(title: str, name: str, label: str, given: Mapping[str, str | None], p
     label : the unit that another line of the file states for it, or ""
     given : units by key of case.toml (`time_unit`, ...); None: as the file states it, else ours
 
-    Raises
-    ------
-    MeasurementError
-        If the file states a unit that contradicts case.toml's, or that is none of this quantity while
-        case.toml states none.
+    Raises MeasurementError if the file states a unit that contradicts case.toml's, or that is none of this
+    quantity while case.toml states none.
     """
     units, key, ours = _OF[quantity(name)]
     (word, stated), asked = _stated(title, name, label), given.get(key)

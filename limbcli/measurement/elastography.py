@@ -61,10 +61,7 @@ def statistics(swe: SweMap) -> SweStatistics:
     The mean is that of speeds, not of moduli: E[v^2] = mean^2 + SD^2, so rho mean^2 is below the mean modulus
     by (SD / mean)^2.
 
-    Raises
-    ------
-    MeasurementError
-        If the map has no pixels.
+    Raises MeasurementError if the map has no pixels.
 
     >>> found = statistics(SweMap(np.zeros(3), np.arange(3.0), np.array([1.0, 2.0, 3.0])))
     >>> found.mean_m_per_s, found.sd_m_per_s, found.n_pixels
@@ -102,10 +99,7 @@ def write_map(path: Path, swe: SweMap) -> None:
 def read_map(path: Path) -> SweMap:
     """Read and check one map.
 
-    Raises
-    ------
-    MeasurementError
-        With every problem of the file and its line.
+    Raises MeasurementError with every problem of the file and its line.
     """
     return checked(*check_map(path), MeasurementError)
 
@@ -113,10 +107,7 @@ def read_map(path: Path) -> SweMap:
 def read_maps(folder: Path, n_levels: int | None = None) -> list[SweMap]:
     """Read the maps of all levels, in order; as many as levels.csv has rows, if that is given.
 
-    Raises
-    ------
-    MeasurementError
-        With every problem of every file, including missing files.
+    Raises MeasurementError with every problem of every file, including missing files.
     """
     maps, problems = check_maps(folder, n_levels)
     raise_errors(problems, MeasurementError)

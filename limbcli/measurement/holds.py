@@ -36,7 +36,7 @@ class Hold:
     """One hold: its time, its mean force, and how unsteady it was.
 
     force_se : standard error of the mean, N; force_sd : standard deviation of single samples, N
-    drift_n_per_s : slope over the second half, N/s, with its standard error
+    drift_n_per_s : slope over the second half, N/s
     overshoot : N by which the force exceeded the hold in the two seconds before it
     n_dropouts : gaps of more than three sampling intervals; n_spikes : samples rejected as spikes
     depth, depth_drift_mm_per_s : mean and slope of the depth, None if the hold has fewer than two readings
@@ -49,7 +49,6 @@ class Hold:
     force_se: float
     force_sd: float
     drift_n_per_s: float
-    drift_se_n_per_s: float
     overshoot: float
     n_dropouts: int
     n_spikes: int
@@ -171,7 +170,6 @@ def _describe(
         force_se=_standard_error(f),
         force_sd=float(f.std(ddof=1)),
         drift_n_per_s=drift,
-        drift_se_n_per_s=drift_se,
         overshoot=max(0.0, overshoot),
         n_dropouts=gaps,
         n_spikes=b + 1 - a - len(inside),
@@ -237,10 +235,8 @@ def without_probe_weight(
     cos(theta_tare)), with cos(theta) from the accelerometer's reading along `axis` ("x", "y", "z"; "-z" if it
     points the other way).
 
-    Raises
-    ------
-    MeasurementError
-        If there is no accelerometer record, it is not in g, or no sample lies within `tare_s`.
+    Raises MeasurementError if there is no accelerometer record, it is not in g, or no sample lies within
+    `tare_s`.
     """
     from dataclasses import replace
 

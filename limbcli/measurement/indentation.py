@@ -51,10 +51,7 @@ _MANY = 10**6  # upper limit of the number of cycles
 def read_levels(path: Path, *, noise: LayerNoise | None = None) -> Levels:
     """Read and check `levels.csv`; noise: of layers and depth, so that growth of layers is checked too.
 
-    Raises
-    ------
-    MeasurementError
-        With every problem of the file and its line.
+    Raises MeasurementError with every problem of the file and its line.
     """
     return checked(*check_levels(path, noise=noise), MeasurementError)
 

@@ -90,10 +90,7 @@ class Levels:
     def chosen_cycle(self, cycle: str = LAST) -> int:
         """The cycle's number, from "last" (the last with at least three loading levels) or a number.
 
-        Raises
-        ------
-        CaseError
-            If there is no such cycle, or it has fewer than three levels of loading.
+        Raises CaseError if there is no such cycle, or it has fewer than three levels of loading.
 
         >>> four, nan = np.arange(4.0), np.full(4, np.nan)
         >>> columns = ("swe_mean_m_per_s", "swe_sd_m_per_s", "swe_pixels", "hold", "probe_travel")

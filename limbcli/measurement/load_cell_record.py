@@ -73,16 +73,11 @@ class RecordingFormat:
 def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     """Read a load-cell record of any of the usual formats.
 
-    Returns
-    -------
-    Trace in our units, time from the file.
+    Returns the trace in our units, time from the file.
 
-    Raises
-    ------
-    MeasurementError
-        If it is a binary file, a row cannot be read, a column is missing or duplicated, a cell is not a
-        number, a unit is not known or contradicts case.toml, time does not increase or cannot be in its unit,
-        or a LabVIEW file has its force and another column at different times.
+    Raises MeasurementError if it is a binary file, a row cannot be read, a column is missing or duplicated, a
+    cell is not a number, a unit is not known or contradicts case.toml, time does not increase or cannot be in
+    its unit, or a LabVIEW file has its force and another column at different times.
     """
     form = form or RecordingFormat()
     sheet = _with_unit_row(_sheet(path, form))

@@ -32,10 +32,7 @@ def lvm_sheet(
     Delta_X. Times that restart are offset by the start of their segment, according to the clock in its
     header. Units are those of X_Unit_Label and Y_Unit_Label; time_unit : of the times, where it has no label
 
-    Raises
-    ------
-    MeasurementError
-        If it has no rows or no times, or its segments have different columns or units.
+    Raises MeasurementError if it has no rows or no times, or its segments have different columns or units.
     """
     lines = [line for line in text.splitlines() if line.strip()]
     ends = [k for k, line in enumerate(lines) if line.startswith(_END_OF_HEADER)]

@@ -134,10 +134,7 @@ def csv_rows(
 def number_of(cell: str) -> float:
     """The number in a cell; "1_0", which Python reads as ten, is not accepted.
 
-    Raises
-    ------
-    ValueError
-        If it is not a number.
+    Raises ValueError if it is not a number.
 
     >>> number_of("1e-1")
     0.1

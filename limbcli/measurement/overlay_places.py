@@ -43,10 +43,7 @@ class Screen:
     def bar_in(self, image: UltrasoundImage) -> Box:
         """The bar in a picture of the whole screen, at any size.
 
-        Raises
-        ------
-        MeasurementError
-            If the picture is not of the screen's shape.
+        Raises MeasurementError if the picture is not of the screen's shape.
         """
         rows, columns = image.rgb.shape[:2]
         scale = columns / self.columns
@@ -74,10 +71,8 @@ SCREENS = {"mach30": Screen(720, 540, (693, 70, 699, 179))}
 def find_bar(image: UltrasoundImage) -> Box:
     """The colour bar of the elastogram: left, top, right, bottom (pixels, inclusive).
 
-    Raises
-    ------
-    MeasurementError
-        If there is none or more than one candidate, or its end is not distinct from its surroundings.
+    Raises MeasurementError if there is none or more than one candidate, or its end is not distinct from its
+    surroundings.
     """
     rgb = image.rgb.astype(np.float64)
     marks, _ = ndimage.label(np.ptp(rgb, axis=2) >= _BAR_COLOUR)
@@ -149,10 +144,7 @@ def _without_sides(lines: Array) -> Array:
 def find_box(image: UltrasoundImage, bar: Box) -> Box:
     """The colour box: the largest coloured area apart from the bar.
 
-    Raises
-    ------
-    MeasurementError
-        If nothing else in the image is coloured.
+    Raises MeasurementError if nothing else in the image is coloured.
     """
     coloured = np.ptp(image.rgb.astype(np.float64), axis=2) >= _BOX_COLOUR
     left, top, right, bottom = bar

@@ -57,10 +57,7 @@ class PennationReading:
 def read_pennation(image: UltrasoundImage, *, top: float, bottom: float) -> PennationReading:
     """The fibre angle between two depths (mm below the probe face), over the whole width of the image.
 
-    Raises
-    ------
-    MeasurementError
-        If the muscle is too thin, or shows no direction or no common one.
+    Raises MeasurementError if the muscle is too thin, or shows no direction or no common one.
     """
     region = image.main_region()
     width = (region.right - region.left + 1) * region.mm_per_pixel_x

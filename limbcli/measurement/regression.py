@@ -36,16 +36,12 @@ class Line:
 def speed_line(x: Array, speed_m_per_s: Array, *, against: str) -> Line:
     """Least-squares line of shear-wave speeds (m/s) over `x`, through the levels that have a speed.
 
-    Parameters
-    ----------
     x : array, shape (n_levels,): probe force (N, compression positive) or indentation depth (mm)
     speed_m_per_s : array, shape (n_levels,), m/s, > 0; NaN where a level has no SWE
     against : what x is, for the messages ("force", "depth")
 
-    Raises
-    ------
-    MeasurementError
-        If a speed is not positive (level given), fewer than two levels have one, or all x are equal.
+    Raises MeasurementError if a speed is not positive (level given), fewer than two levels have one, or all x
+    are equal.
 
     >>> line = speed_line(np.array([0.0, 2.0, 4.0, 6.0]), np.array([2.0, 2.5, np.nan, 3.5]), against="force")
     >>> line.slope, line.intercept, line.r2, line.n

@@ -143,31 +143,28 @@ def cycle_energy(levels: Levels, cycle: int, force_deviation: float, depth_devia
     readings = np.r_[levels.force[rows], levels.depth[rows]]
     closed = bool(levels.force[down].min() <= TOUCH_FORCE)
 
-    def both(values: Array) -> Array:
-        return _work_and_loss(values[:n], values[n:], n_up, closed=closed)
+    def work_and_loss(values: Array) -> Array:
+        """(2,) N mm: area below the loading curve, and between loading and unloading (from the top back).
 
-    work, lost = both(readings)
+        If not closed, both are taken from the depth of the last unloading level upwards.
+        """
+        force, depth = values[:n], values[n:]
+        up_force, up_depth = force[:n_up], depth[:n_up]
+        down_force, down_depth = force[n_up - 1 :][::-1], depth[n_up - 1 :][::-1]
+        if not closed:
+            start = down_depth[0]
+            beyond = up_depth > start
+            up_force = np.r_[np.interp(start, up_depth, up_force), up_force[beyond]]
+            up_depth = np.r_[start, up_depth[beyond]]
+        work = np.trapezoid(up_force, up_depth)
+        return np.array([work, work - np.trapezoid(down_force, down_depth)])
+
+    work, lost = work_and_loss(readings)
     if not work > 0:
         return None
-    rates = approx_fprime(readings, both, 1e-6)[1]
+    rates = approx_fprime(readings, work_and_loss, 1e-6)[1]
     deviations = np.repeat([force_deviation, depth_deviation], n)
     return Energy(float(work), float(lost), float(np.linalg.norm(rates * deviations)), closed)
-
-
-def _work_and_loss(force: Array, depth: Array, n_up: int, *, closed: bool) -> Array:
-    """(2,) N mm: area below the loading curve, and between loading and unloading (from the top back).
-
-    If not closed, both are taken from the depth of the last unloading level upwards.
-    """
-    up_force, up_depth = force[:n_up], depth[:n_up]
-    down_force, down_depth = force[n_up - 1 :][::-1], depth[n_up - 1 :][::-1]
-    if not closed:
-        start = down_depth[0]
-        beyond = up_depth > start
-        up_force = np.r_[np.interp(start, up_depth, up_force), up_force[beyond]]
-        up_depth = np.r_[start, up_depth[beyond]]
-    work = np.trapezoid(up_force, up_depth)
-    return np.array([work, work - np.trapezoid(down_force, down_depth)])
 
 
 def compare(

@@ -15,19 +15,12 @@ def shear_modulus_from_wave_speed(wave_speed_m_per_s: Array, *, density_kg_per_m
     mu = rho * v**2: linear, isotropic, unbounded, lossless tissue. In a thin or pre-stretched layer this is
     biased.
 
-    Parameters
-    ----------
     wave_speed_m_per_s : array, shape (n_samples,), m/s, > 0
     density_kg_per_m3 : float, kg/m^3
 
-    Returns
-    -------
-    array, shape (n_samples,), MPa
+    Returns (n_samples,) MPa
 
-    Raises
-    ------
-    MeasurementError
-        If a speed is not finite and positive (index and value given).
+    Raises MeasurementError if a speed is not finite and positive (index and value given).
 
     Source: Sarvazyan et al. 1998, Ultrasound Med Biol 24:1419.
 

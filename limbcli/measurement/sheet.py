@@ -56,10 +56,7 @@ def is_number(text: str) -> bool:
 def text_of(path: Path) -> str:
     """The text of a file in UTF-8, UTF-16 or Latin-1, without LabVIEW's special blocks (which may be binary).
 
-    Raises
-    ------
-    MeasurementError
-        If it is a binary file; its content is not shown.
+    Raises MeasurementError if it is a binary file; its content is not shown.
     """
     content = path.read_bytes()
     kind = binary_kind(content)
@@ -97,10 +94,7 @@ def csv_sheet(
     is_header : whether these titles contain the columns that are wanted
     separator : None: as a first line `sep=` states it, else detected
 
-    Raises
-    ------
-    MeasurementError
-        If it has no rows, or a row cannot be read.
+    Raises MeasurementError if it has no rows, or a row cannot be read.
     """
     lines = text.splitlines()
     named = SEPARATOR_LINE.match(lines[0]) if lines else None

@@ -81,11 +81,8 @@ class DecodedMap:
 def decode_overlay(image: UltrasoundImage, overlay: Overlay) -> DecodedMap:
     """The wave-speed map of a colour-overlay image, in the probe frame.
 
-    Raises
-    ------
-    MeasurementError
-        If a box lies outside the image, the colour box in no calibrated region or across two, the bar has no
-        colours or repeats them, nothing could be read, or most colours do not match the bar.
+    Raises MeasurementError if a box lies outside the image, the colour box in no calibrated region or across
+    two, the bar has no colours or repeats them, nothing could be read, or most colours do not match the bar.
     """
     _check_box(image, overlay.box_pixels, "box_pixels")
     _check_box(image, overlay.bar_pixels, "bar_pixels")
@@ -119,10 +116,7 @@ def decode_overlay(image: UltrasoundImage, overlay: Overlay) -> DecodedMap:
 def bar_colours(image: UltrasoundImage, overlay: Overlay) -> tuple[Array, Array]:
     """Colours (n, 3) along the bar from its low end to its high end, and their speeds (n,) m/s.
 
-    Raises
-    ------
-    MeasurementError
-        If the bar is mostly grey: it is another bar, or its position is wrong.
+    Raises MeasurementError if the bar is mostly grey: it is another bar, or its position is wrong.
     """
     left, top, right, bottom = overlay.bar_pixels
     bar = image.rgb[top : bottom + 1, left : right + 1].astype(np.float64)

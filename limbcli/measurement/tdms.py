@@ -38,12 +38,8 @@ def tdms_sheet(path: Path, is_wanted: Callable[[str], bool]) -> Sheet:
     is_wanted : whether a column of this title is read. Channels of the same name in several groups are called
     group/channel.
 
-    Raises
-    ------
-    ToolError
-        If npTDMS is not installed.
-    MeasurementError
-        If the file is damaged or cut short, or has no wanted channel or no values in it.
+    Raises ToolError if npTDMS is not installed; MeasurementError if the file is damaged or cut short, or has
+    no wanted channel or no values in it.
     """
     try:
         from nptdms import TdmsFile

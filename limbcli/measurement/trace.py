@@ -98,10 +98,7 @@ def _is_rate(rate_hz: float) -> bool:
 def read_trace(path: Path) -> Trace:
     """Read and check `trace.csv`.
 
-    Raises
-    ------
-    MeasurementError
-        With every problem of the file and its line.
+    Raises MeasurementError with every problem of the file and its line.
     """
     return checked(*check_trace(path), MeasurementError)
 

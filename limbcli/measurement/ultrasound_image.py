@@ -88,10 +88,7 @@ class UltrasoundImage:
     def main_region(self) -> Region:
         """The largest calibrated two-dimensional region.
 
-        Raises
-        ------
-        MeasurementError
-            If none is calibrated, or it begins below the probe face.
+        Raises MeasurementError if none is calibrated, or it begins below the probe face.
         """
         return self._from_the_face(max(self.calibrated(), key=_area))
 
@@ -127,10 +124,8 @@ class UltrasoundImage:
 
         box : left, top, right, bottom (pixels, inclusive)
 
-        Raises
-        ------
-        MeasurementError
-            If none is calibrated, the box lies in none or across two, or its region begins below the face.
+        Raises MeasurementError if none is calibrated, the box lies in none or across two, or its region
+        begins below the face.
         """
         self.calibrated()
         holding = [each for each in self.regions if each.holds(box)]
@@ -164,11 +159,8 @@ def read_image(
         face
     frame : number of the frame in a multi-frame file (a cine loop), from 1
 
-    Raises
-    ------
-    MeasurementError
-        If the file is not an image, it contains several frames and none is selected, or no scale is in the
-        file or given.
+    Raises MeasurementError if the file is not an image, it contains several frames and none is selected, or
+    no scale is in the file or given.
     """
     rgb, regions, number = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
     own = None

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -34,9 +34,6 @@ class SiteChecks:
     bone_share: float
     to_cut_mm: float | None
     gap_at_first_touch_mm: float
-
-    def to_json(self) -> dict[str, float | None]:
-        return asdict(self)
 
 
 def site_checks(domain: TissueDomain, probe: ProbeShape) -> SiteChecks:

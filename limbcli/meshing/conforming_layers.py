@@ -124,7 +124,16 @@ def with_layers(
     """
     faces = core.faces[core.labels == SKIN]
     base = np.unique(faces)
-    outer = _outer_points(core, inner, skin, base)
+    # project each inner node to the skin along the distance field, staying in its cut or edge of cuts
+    normals = _cut_normals(core, inner, base)
+    start, x = core.points[base], core.points[base].copy()
+    for _ in range(_PROJECTIONS):
+        slope = skin.gradient(x)
+        slope -= np.einsum("nij,nj->ni", normals, slope)
+        size = np.einsum("ni,ni->n", slope, slope)
+        step = -skin.at(x) / np.maximum(size, _GRAZING**2)
+        x += np.clip(step, -_LONGEST, _LONGEST)[:, None] * slope
+    outer = np.where((skin.at(start) < 0)[:, None], x, start)
     heights, kinds = _levels(layers)
     n = len(core.points)
     added = [core.points[base] + h * (outer - core.points[base]) for h in heights]
@@ -175,19 +184,6 @@ def _odd(order: IntArray) -> NDArray[np.bool_]:
     array([False,  True, False])
     """
     return np.asarray((order[:, 1] - order[:, 0]) % 3 == 2)
-
-
-def _outer_points(core: VolumeMesh, inner: TissueDomain, skin: Field, base: IntArray) -> Array:
-    """Project each inner node to the skin along the distance field, staying in its cut or edge of cuts."""
-    normals = _cut_normals(core, inner, base)
-    start, x = core.points[base], core.points[base].copy()
-    for _ in range(_PROJECTIONS):
-        slope = skin.gradient(x)
-        slope -= np.einsum("nij,nj->ni", normals, slope)
-        size = np.einsum("ni,ni->n", slope, slope)
-        step = -skin.at(x) / np.maximum(size, _GRAZING**2)
-        x += np.clip(step, -_LONGEST, _LONGEST)[:, None] * slope
-    return np.where((skin.at(start) < 0)[:, None], x, start)
 
 
 def _cut_normals(core: VolumeMesh, inner: TissueDomain, base: IntArray) -> Array:

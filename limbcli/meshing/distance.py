@@ -169,7 +169,10 @@ def rounded(field: Field, radius: float) -> Field:
 def distance_again(field: Field) -> Field:
     """True signed distance to a field's zero level, by fast sweeping from the adjacent samples."""
     values = np.ascontiguousarray(field.values / field.grid.spacing)
-    return field.with_values(_redistance(values) * field.grid.spacing)
+    # anchored at the samples adjacent to the zero level
+    d = _anchors(values)
+    _sweep(d, d < _FAR)
+    return field.with_values(np.where(values <= 0, -d, d) * field.grid.spacing)
 
 
 # ---------------------------------------------------------------- kernels
@@ -279,13 +282,6 @@ def _crossings(corners: Any, nx: int, ny: int, nz: int, jitter: float) -> Any:
                 if i < nx:
                     count[i, j, k] += -1 if area > 0 else 1
     return count
-
-
-def _redistance(phi: Any) -> Any:
-    """Distance in grid units with the sign of phi, anchored at the samples adjacent to the zero level."""
-    d = _anchors(phi)
-    _sweep(d, d < _FAR)
-    return np.where(phi <= 0, -d, d)
 
 
 @njit

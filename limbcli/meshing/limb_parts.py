@@ -116,14 +116,18 @@ class _Leg:
     top: float
     bottom: float
 
-    def ends_of(self, name: str) -> tuple[float | None, float | None] | None:
-        """Heights of a bone's distal and proximal end, None where cut; None if there is no such bone."""
+    def bone(self, name: str) -> tuple[Triangles, float | None, float | None]:
+        """A bone, and the heights of its distal and proximal end, None where cut.
+
+        Raises _MissingPart if there is no such bone.
+        """
         bone = bone_named(self.bones, name)
         if bone is None:
-            return None
+            raise _MissingPart(f"no bone is named {name}")
         height = self.frame.height(bone.points)
         low, high = float(height.min()), float(height.max())
-        return (low if low > self.bottom + AT_CUT_MM else None, high if high < self.top - AT_CUT_MM else None)
+        low_end = low if low > self.bottom + AT_CUT_MM else None
+        return bone, low_end, high if high < self.top - AT_CUT_MM else None
 
 
 def limb_parts(
@@ -163,18 +167,15 @@ def _near_end(leg: _Leg, bone: Triangles, keep: NDArray[np.bool_]) -> NDArray[np
 
 def _plateau(leg: _Leg) -> float:
     """Height of the top of the tibia."""
-    ends = leg.ends_of("tibia")
-    if ends is None:
-        raise _MissingPart("no bone is named tibia")
-    if ends[1] is None:
+    _, _, high = leg.bone("tibia")
+    if high is None:
         raise _MissingPart("the top of the tibia lies beyond the proximal cut")
-    return ends[1]
+    return high
 
 
 def _crest(leg: _Leg, heights: Array) -> tuple[Array, Array]:
     """Lateral and anterior offset (n,) of the tibia's most anterior point at heights (n,)."""
-    tibia = bone_named(leg.bones, "tibia")
-    assert tibia is not None
+    tibia, _, _ = leg.bone("tibia")
     along, aside, ahead = (of(tibia.points) for of in (leg.frame.height, leg.frame.aside, leg.frame.ahead))
     at = np.arange(along.min() + _SLICE / 2, along.max() - _SLICE / 2 + 1e-9, _SLICE)
     found = []
@@ -191,17 +192,15 @@ def _crest(leg: _Leg, heights: Array) -> tuple[Array, Array]:
 
 
 def _fibular_head(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
-    ends, fibula = leg.ends_of("fibula"), bone_named(leg.bones, "fibula")
-    if ends is None or fibula is None:
-        raise _MissingPart("no bone is named fibula")
+    fibula, low, high = leg.bone("fibula")
     height = leg.frame.height(fibula.points)
-    if ends[0] is not None:
+    if low is not None:
         landmarks["fibular_end"] = fibula.points[np.argmin(height)]
-    if ends[1] is None:
+    if high is None:
         raise _MissingPart("the top of the fibula lies beyond the proximal cut")
     landmarks["fibular_head"] = fibula.points[np.argmax(height)]
     outward = leg.normals @ leg.frame.lateral > 0
-    return _near_end(leg, fibula, height >= ends[1] - HEAD_PART_MM) & outward
+    return _near_end(leg, fibula, height >= high - HEAD_PART_MM) & outward
 
 
 def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
@@ -229,29 +228,25 @@ def _patellar_tendon(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_
 
 
 def _tibial_end(leg: _Leg, landmarks: dict[str, Array]) -> NDArray[np.bool_]:
-    ends, tibia = leg.ends_of("tibia"), bone_named(leg.bones, "tibia")
-    if ends is None or tibia is None:
-        raise _MissingPart("no bone is named tibia")
-    if ends[0] is None:
+    tibia, low, _ = leg.bone("tibia")
+    if low is None:
         raise _MissingPart("the tibia goes on beyond the distal cut")
     others = [
         leg.frame.height(each.points).min()
         for name, each in leg.bones.items()
         if not any(k in name for k in _LEG)
     ]
-    if others and min(others) < ends[0] - BONE_BELOW_MM:
+    if others and min(others) < low - BONE_BELOW_MM:
         raise _MissingPart("other bones lie below the tibia: its end is an ankle")
     height = leg.frame.height(tibia.points)
     landmarks["tibial_end"] = tibia.points[np.argmin(height)]
-    return _near_end(leg, tibia, height <= ends[0] + END_PART_MM)
+    return _near_end(leg, tibia, height <= low + END_PART_MM)
 
 
 def _tibial_crest(leg: _Leg, _landmarks: dict[str, Array]) -> NDArray[np.bool_]:
-    ends, tibia = leg.ends_of("tibia"), bone_named(leg.bones, "tibia")
-    if ends is None or tibia is None:
-        raise _MissingPart("no bone is named tibia")
-    low = leg.bottom if ends[0] is None else ends[0] + CREST_ABOVE_END_MM
-    high = leg.top if ends[1] is None else ends[1] - CREST_BELOW_MM
+    _, below, above = leg.bone("tibia")
+    low = leg.bottom if below is None else below + CREST_ABOVE_END_MM
+    high = leg.top if above is None else above - CREST_BELOW_MM
     height = leg.frame.height(leg.centroids)
     aside, ahead = _crest(leg, height)
     near = np.abs(leg.frame.aside(leg.centroids) - aside) <= CREST_HALF_WIDTH_MM

@@ -1,19 +1,24 @@
-"""Picture of a site's mesh: two sections through it, the skin from above, and its quality."""
+"""Pictures of a site's mesh: sections with or without its fibres, the skin from above, a refinement study."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.figure import Figure
 
-from limbcli.drawing import Margins, panel_sheet, save_picture
+from limbcli.drawing import Margins, panel_sheet, put_title, save_figure, save_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.quality import MeshQuality, dihedral_angles_deg
-from limbcli.model import Array, IntArray, Mesh
+from limbcli.model import Array, Block, IntArray, Mesh
+
+if TYPE_CHECKING:
+    from limbcli.meshing.mesh_extrapolation import Extrapolation  # finds a root with SciPy's optimisers
 
 _PANEL_INCHES, _MARGINS = (4.1, 3.1), Margins(0.8, 0.4, 0.5, labelled=True)
+_FIBRE_PANEL_INCHES, _FIBRE_MARGINS = (4.1, 3.5), Margins(0.8, 0.35, 0.5, labelled=True)
 _COLOURS = {"tissue": "#f2d3c4", "fat": "#fbeeb5", "skin": "#d99a7c"}
 
 
@@ -119,3 +124,73 @@ def _histogram(axes: Any, mesh: Mesh, figures: MeshQuality) -> None:
         f"under the probe {figures.min_angle_under_probe_deg:.1f}°",
         fontsize=10,
     )
+
+
+# mm: half length of a line, distance between lines, thickness of the section
+_HALF_LENGTH, _SPACING, _SLICE = 2.2, 5.0, 4.0
+_FIBRES = "#8c1d18"
+
+
+def fibre_picture(
+    mesh: Mesh, block: Block, axes: Array, probe: ProbeShape, path: Path, *, title: str,
+    sides: tuple[str, str],
+) -> None:  # fmt: skip
+    """Write PNG and SVG: fibres as short lines, as dots where they are perpendicular to the section.
+
+    block, axes (n_cells, 3) : the tissue and the unit fibre direction in each of its cells
+    sides : sides of the patient towards which x and y point
+    """
+    across, down = _FIBRE_PANEL_INCHES
+    figure, places = panel_sheet([across] * 2, [down], _FIBRE_MARGINS, title)
+    panels: Any = places.subplots()
+    middles = mesh.points[block.cells].mean(axis=1)
+    for panel, axis in zip(panels, (1, 0), strict=True):
+        draw_cut(panel, mesh, probe, axis=axis, start_depth=0.0, sides=sides)
+        # draw one line every few millimetres, as long as the fibre's projection on the section
+        along = [1 - axis, 2]
+        near = np.flatnonzero(np.abs(middles[:, axis]) <= _SLICE)
+        spots = middles[near][:, along]
+        _, first = np.unique(np.floor(spots / _SPACING), axis=0, return_index=True)
+        chosen, at = near[first], spots[first]
+        half = _HALF_LENGTH * axes[chosen][:, along]
+        lines = np.stack([at - half, at + half], axis=1)
+        panel.add_collection(LineCollection(list(lines), colors=_FIBRES, linewidths=1.3))
+        panel.plot(*at.T, ".", ms=2.0, color=_FIBRES)
+        panel.set_title(f"fibres near the plane {'xy'[axis]} = 0 (a dot: across it)")
+    save_picture(figure, path, dpi=143)
+
+
+def study_picture(
+    path: Path, *, sizes: list[tuple[float, float]], margins: list[tuple[float, float]],
+    used: tuple[float, float], extrapolation: Extrapolation, depth: float, title: str,
+) -> None:  # fmt: skip
+    """Plot the force (N) at full depth against edge length and against the margin beyond the probe.
+
+    sizes, margins : (mm, N) pairs; used : (size, margin) of the model itself
+    """
+    figure = Figure(figsize=(11, 4.4), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    _curve(left, sizes, used[0], "edge length under the probe [mm]", depth, (extrapolation.limit,))
+    left.axhline(extrapolation.limit, color="#777777", linestyle="--", linewidth=1)
+    how = "assumed" if extrapolation.order_is_assumed else "seen"
+    left.set_title(
+        f"dashed: extrapolated to 0 ({extrapolation.limit:.3g} N, order {extrapolation.order:.1f} {how})"
+    )
+    left.set_xlim(left=0)
+    _curve(right, margins, used[1], "tissue kept beyond the probe face [mm]", depth)
+    right.set_title("where it is flat, the cut is far enough away")
+    put_title(figure, title)
+    save_figure(figure, path, dpi=120)
+
+
+def _curve(
+    axes: Any, pairs: list[tuple[float, float]], used: float, label: str, depth: float,
+    others: tuple[float, ...] = (0.0,),
+) -> None:  # fmt: skip
+    """others : further forces (N) that the axis must include"""
+    x, force = zip(*sorted(pairs), strict=True)
+    axes.plot(x, force, "o-", color="#1f4e79")
+    mine = [(a, f) for a, f in pairs if a == used]
+    axes.plot(*zip(*mine, strict=True), "o", color="#c8502d", markersize=9, label="the model")
+    axes.set(xlabel=label, ylabel=f"force at {depth:.2f} mm [N]", ylim=(0, 1.12 * max(*force, *others)))
+    axes.legend(frameon=False)

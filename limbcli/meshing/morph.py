@@ -25,8 +25,6 @@ LEAST_VOLUME = 0.15  # smallest fraction of its original volume that a cell must
 def morphed(mesh: Mesh, moves: Mapping[str, Array]) -> Mesh:
     """The mesh with the nodes of some sets moved, and the nodes between them moved by interpolation.
 
-    Parameters
-    ----------
     moves : displacement (n, 3), mm, of the nodes of a node set, in the set's order; if two sets share a node,
         the later one counts. Sets that are not named move freely.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,9 +34,6 @@ class MeshQuality:
     inverted_cells: int
     edge_under_probe_mm: float
     edge_far_mm: float
-
-    def to_json(self) -> dict[str, float]:
-        return asdict(self)
 
 
 def volumes(points: Array, cells: IntArray) -> Array:

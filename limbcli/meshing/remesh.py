@@ -103,32 +103,18 @@ def size_field(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Siz
     for field in (domain.skin, domain.bone):
         if field is not None:
             at = np.abs(field.values) < _AT_SURFACE * field.grid.spacing
-            sag = _chord_error(domain, probes, field.grid.points()[at])
+            # deviation from the true surface: small under the probes, of a whole limb at most twice that
+            sag = 0.25 + 0.03 * distance_to_faces(probes, field.grid.points()[at])
+            sag = np.minimum(sag, 2 * 0.25) if domain.whole else sag
             limit[at] = np.minimum(limit[at], _bend_limit(field, at, sag, sizes.far, least=sizes.bends))
-    limit[~_within_cuts(domain)] = sizes.far
-    bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
-    return SizeField(sizes, probes, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
-
-
-def _within_cuts(domain: TissueDomain, *, inside: float = 1.0) -> NDArray[np.bool_]:
-    """Samples at least `inside` mm on the kept side of every cut; those beyond do not limit the size."""
+    # samples at least 1 mm on the kept side of every cut; those beyond do not limit the size
     points = domain.skin.grid.points()
     keep = np.ones(points.shape[:3], bool)
     for plane in domain.planes:
-        keep &= points @ plane.normal - plane.offset < -inside
-    return keep
-
-
-def _chord_error(
-    domain: TissueDomain, probes: tuple[PlacedProbe, ...], points: Array, *, near: float = 0.25,
-    growth: float = 0.03,
-) -> Array:  # fmt: skip
-    """Permitted deviation (n,), mm, of facets from the true surface at points (n, 3).
-
-    Small under the probes, larger far away; of a whole limb at most twice that under them.
-    """
-    sag = near + growth * distance_to_faces(probes, points)
-    return np.minimum(sag, 2 * near) if domain.whole else sag
+        keep &= points @ plane.normal - plane.offset < -1.0
+    limit[~keep] = sizes.far
+    bend = Field(domain.skin.grid, _graded(limit, domain.skin.grid.spacing))
+    return SizeField(sizes, probes, domain, bend, least=min(_MIN_SIZE, sizes.under_probe))
 
 
 def _bend_limit(field: Field, at: NDArray[np.bool_], sag: Array, far: float, *, least: float) -> Array:
@@ -279,7 +265,13 @@ def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: i
             moved = put_back(relax(points, faces, labels, ranks, field.at(points)), constraints, domain)
             points = keep_unfolded(points, moved, faces)
     for _ in range(4):  # collapse the edges that became too short when nodes moved along the features
-        labels = _without_ears(points, faces, labels, domain)
+        # faces of skin or bone whose three nodes lie in a cut belong to it: as skin they would constrain
+        # three nodes to the cut's edge where two suffice
+        out = labels.copy()
+        for k, plane in enumerate(domain.planes):
+            inside = (np.abs(plane.height(points)) < 1e-3)[faces].all(axis=1)
+            out[inside & (labels < CUT)] = CUT + k
+        labels = out
         if not _crowded(points, faces, field):
             break
         ranks, _ = _ranks(points, faces, labels)
@@ -295,18 +287,6 @@ def _crowded(points: Array, faces: IntArray, field: SizeField) -> bool:
     edges, _ = edges_of(faces)
     length = np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
     return bool((length < _CROWDED * field.at(points)[edges].mean(axis=1)).any())
-
-
-def _without_ears(points: Array, faces: IntArray, labels: IntArray, domain: TissueDomain) -> IntArray:
-    """Relabel faces of skin or bone whose three nodes lie in a cut as belonging to the cut.
-
-    As skin they would constrain three nodes to the cut's edge where two suffice.
-    """
-    out = labels.copy()
-    for k, plane in enumerate(domain.planes):
-        inside = (np.abs(plane.height(points)) < 1e-3)[faces].all(axis=1)
-        out[inside & (labels < CUT)] = CUT + k
-    return out
 
 
 def _ranks(points: Array, faces: IntArray, labels: IntArray) -> tuple[IntArray, NodeConstraints]:

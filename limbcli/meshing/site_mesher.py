@@ -186,12 +186,14 @@ def _with_ftetwild(
     field = size_field(domain, probes, sizes)
     surface = _remeshed_or_not(domain, field, tale)
     low, high = surface.points.min(axis=0), surface.points.max(axis=0)
+    axes = [np.arange(a - 4.0, b + 8.0, 4.0) for a, b in zip(low, high, strict=True)]
+    samples = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     options = {
         "edge_length_abs": sizes.far,
         "epsilon": _ENVELOPE / float(np.linalg.norm(high - low)),
         "num_opt_iter": _WILD_ROUNDS,
         "num_threads": 2,
-        "sizes": _size_samples(field, low, high).tolist(),
+        "sizes": np.column_stack([samples, field.at(samples)]).tolist(),
     }
     nodes, cells = in_process("pytetwild", surface.points, surface.faces, options, time_limit_s=120.0)
     raw = checked(nodes, cells, surface.volume, "fTetWild", tolerance=0.02)
@@ -210,13 +212,6 @@ def _remeshed_or_not(domain: TissueDomain, field: SizeField, tale: list[str]) ->
     except MeshError as error:
         tale.append(f"fTetWild from the boundary as it is: {error.what}")
         return fine
-
-
-def _size_samples(field: SizeField, low: Array, high: Array, *, spacing: float = 4.0) -> Array:
-    """Samples (n, 4) of x, y, z and target edge length, on a grid over a slightly enlarged box."""
-    axes = [np.arange(a - spacing, b + 2 * spacing, spacing) for a, b in zip(low, high, strict=True)]
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    return np.column_stack([points, field.at(points)])
 
 
 def settled(points: Array, wanted: Array, cells: IntArray) -> Array:

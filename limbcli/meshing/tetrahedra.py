@@ -11,7 +11,7 @@ from limbcli.errors import MeshError
 from limbcli.meshing.mesher_process import in_process
 from limbcli.meshing.quality import volumes
 from limbcli.meshing.remesh import Boundary, SizeField
-from limbcli.meshing.surfaces import Triangles, bodies
+from limbcli.meshing.surfaces import bodies
 from limbcli.model import Array, IntArray
 
 _BEYOND = 0.02  # mm: distance of a point in a void from its facet
@@ -90,19 +90,15 @@ def tetgen_mesh(
     """
     points = np.ascontiguousarray(np.vstack([boundary.surface.points, inner]))
     faces = np.ascontiguousarray(boundary.surface.faces)
-    options = {"minratio": min_ratio, "mindihedral": min_dihedral_deg, "holes": _in_voids(boundary.surface)}
-    nodes, cells = in_process("tetgen", points, faces, options, time_limit_s=_TIME_LIMIT_S)
-    return checked(nodes, cells, boundary.surface.volume, "TetGen")
-
-
-def _in_voids(surface: Triangles) -> list[list[float]]:
-    """A point in each void of a closed surface: just beyond its largest facet."""
+    # a point in each void of the closed surface: just beyond its largest facet
     found = []
-    for each in bodies(surface):
+    for each in bodies(boundary.surface):
         if each.volume < 0:
             k = int(each.areas.argmax())
             found.append((each.centroids[k] + _BEYOND * each.area_vectors[k] / each.areas[k]).tolist())
-    return found
+    options = {"minratio": min_ratio, "mindihedral": min_dihedral_deg, "holes": found}
+    nodes, cells = in_process("tetgen", points, faces, options, time_limit_s=_TIME_LIMIT_S)
+    return checked(nodes, cells, boundary.surface.volume, "TetGen")
 
 
 def checked(

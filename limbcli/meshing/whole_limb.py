@@ -319,10 +319,7 @@ def cell_centroids(mesh: Mesh, block: Block) -> Array:
 def check_invariants(found: LimbMesh) -> None:
     """Raise MeshError if cells are not valid, or if the surfaces do not share out the boundary.
 
-    Raises
-    ------
-    MeshError
-        With the number of faulty cells or facets.
+    Raises MeshError with the number of faulty cells or facets.
     """
     mesh = found.mesh
     cells = np.concatenate([each.cells for each in mesh.solid_blocks])

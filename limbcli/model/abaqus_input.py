@@ -79,10 +79,7 @@ class AbaqusOgden:
 def abaqus_ogden(law: str, parameters: Mapping[str, float]) -> AbaqusOgden:
     """The nearest Ogden form of a law; its parameters are those of `limbcli.materials`, as numbers.
 
-    Raises
-    ------
-    CaseError
-        If the law has none: it has fibres, a history or another energy.
+    Raises CaseError if the law has none: it has fibres, a history or another energy.
 
     >>> abaqus_ogden("ogden", {"c1": 0.004, "m1": 2.0, "c2": 0.004, "m2": -2.0, "kappa": 0.4})
     AbaqusOgden(mu=(0.002, 0.002), alpha=(2.0, -2.0), d1=4.966...)
@@ -111,11 +108,8 @@ def abaqus_ogden(law: str, parameters: Mapping[str, float]) -> AbaqusOgden:
 def write_abaqus(model: LimbModel, path: Path) -> None:
     """Write the model as an input file; comments in it say what differs from this model.
 
-    Raises
-    ------
-    CaseError
-        If it holds what is not written: laws without Abaqus form, springs, fluid pressure, relative motion,
-        loads on the tissue, load curves with steps.
+    Raises CaseError if it holds what is not written: laws without Abaqus form, springs, fluid pressure,
+    relative motion, loads on the tissue, load curves with steps.
     """
     _refuse(model)
     with atomic_file(path) as partial, partial.open("w", encoding="ascii", errors="replace") as file:
@@ -367,10 +361,7 @@ def _cells(block: Block) -> IntArray:
 def _facets(mesh: Mesh, facets: Mapping[str, IntArray], numbers: Mapping[str, IntArray]) -> Iterator[str]:
     """Lines `element, face` of a surface's facets.
 
-    Raises
-    ------
-    CaseError
-        If a facet belongs to no element.
+    Raises CaseError if a facet belongs to no element.
     """
     wanted: dict[tuple[int, ...], list[int]] = {}
     for kind, rows in facets.items():

@@ -62,11 +62,8 @@ def model_hash(*models: LimbModel) -> str:
 def save_model(model: LimbModel, path: Path) -> None:
     """Write a model; `load_model` restores it bit by bit.
 
-    Raises
-    ------
-    CaseError
-        If `info` or another free-form field contains something that is not plain data (numbers, text, arrays,
-        tuples, lists, mappings with text keys).
+    Raises CaseError if `info` or another free-form field contains something that is not plain data (numbers,
+    text, arrays, tuples, lists, mappings with text keys).
     """
     arrays: dict[str, NDArray[Any]] = {}
     try:
@@ -83,10 +80,7 @@ def save_model(model: LimbModel, path: Path) -> None:
 def load_model(path: Path) -> LimbModel:
     """Read a model written by `save_model`.
 
-    Raises
-    ------
-    CaseError
-        If the file is missing, corrupt, or of a newer format.
+    Raises CaseError if the file is missing, corrupt, or of a newer format.
     """
     if not path.is_file():
         raise CaseError(

@@ -75,10 +75,7 @@ class FormulaError(ValueError):
 class Formula:
     """A formula in mm and s.
 
-    Raises
-    ------
-    FormulaError
-        If the text is none.
+    Raises FormulaError if the text is none.
 
     >>> float(Formula("2*X^2 - t")(np.array([3.0, 0.0, 0.0]), 1.0))
     17.0
@@ -97,10 +94,7 @@ class Formula:
     def __call__(self, points: Array, time: float) -> Array:
         """Values (...) at points (..., 3), mm, and a time (s).
 
-        Raises
-        ------
-        SolveError
-            If a value is not finite.
+        Raises SolveError if a value is not finite.
         """
         x, y, z = np.moveaxis(np.asarray(points, dtype=float), -1, 0)
         with np.errstate(all="ignore"):

@@ -23,10 +23,7 @@ class Whitener:
     @staticmethod
     def of(covariance: Array) -> Whitener:
         """
-        Raises
-        ------
-        FitError
-            If the covariance is not positive definite.
+        Raises FitError if the covariance is not positive definite.
         """
         try:
             return Whitener(np.asfortranarray(cholesky(covariance, lower=True)))
@@ -39,10 +36,7 @@ class Whitener:
 
     def __call__(self, x: Array) -> Array:
         """
-        Raises
-        ------
-        ValueError
-            If x is not finite.
+        Raises ValueError if x is not finite.
         """
         # LAPACK is called directly: for few data, scipy's checks take ten times as long as the solve
         found, _ = dtrtrs(self.factor, np.asarray_chkfinite(x), lower=1)

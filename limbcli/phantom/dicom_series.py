@@ -34,7 +34,11 @@ def write_series(
     top = 2**BITS - 1
     slope = float(f"{float(signal.max()) / top:.6g}") or 1.0
     stored = np.clip(np.rint(signal / slope), 0, top).astype("<u2")
-    uid = _uids(subject, seed, stored)
+    # UIDs that depend only on the content (study, series, frame, and a stem for instances)
+    stem = [subject, str(seed), str(int(stored.sum(dtype=np.int64))), str(stored.shape)]
+    names = ("study", "series", "frame")
+    uid = {name: str(generate_uid(entropy_srcs=[*stem, name])) for name in names}
+    uid["stem"] = "/".join(stem)
     paths = []
     for k in range(grid.shape[2]):
         number = grid.shape[2] - k
@@ -46,14 +50,6 @@ def write_series(
         dataset.save_as(path, enforce_file_format=True)
         paths.append(path)
     return paths
-
-
-def _uids(subject: str, seed: int, stored: Array) -> dict[str, str]:
-    """UIDs that depend only on the content (study, series, frame, and a stem for instances)."""
-    stem = [subject, str(seed), str(int(stored.sum(dtype=np.int64))), str(stored.shape)]
-    names = ("study", "series", "frame")
-    uid = {name: str(generate_uid(entropy_srcs=[*stem, name])) for name in names}
-    return {**uid, "stem": "/".join(stem)}
 
 
 def _empty(path: Path, uid: dict[str, str], number: int) -> FileDataset:

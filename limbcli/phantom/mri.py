@@ -124,15 +124,11 @@ def acquire(fractions: Array, grid: VoxelGrid, *, rng: np.random.Generator) -> S
     clean = np.tensordot(levels, fractions, axes=1)
     texture = ndimage.gaussian_filter(rng.standard_normal(grid.shape), 2.0)
     clean *= 1 + TEXTURE * texture / texture.std()
-    clean *= bias_field(grid.shape, rng)
+    # smooth coil sensitivity around 1: a random quadratic, +-`BIAS` over the image
+    i, j, k = np.meshgrid(*(np.linspace(-1, 1, n) for n in grid.shape), indexing="ij")
+    terms = [i, j, k, i * j, j * k, i * k, i**2 - 1 / 3, j**2 - 1 / 3, k**2 - 1 / 3]
+    field = sum(weight * term for weight, term in zip(rng.uniform(-1, 1, len(terms)), terms, strict=True))
+    clean *= np.asarray(1 + BIAS * field / np.abs(field).max())
     real = clean + NOISE * rng.standard_normal(grid.shape)
     imaginary = NOISE * rng.standard_normal(grid.shape)
     return SimulatedVolume(grid=grid, signal=np.hypot(real, imaginary), fractions=fractions)
-
-
-def bias_field(shape: tuple[int, int, int], rng: np.random.Generator) -> Array:
-    """Smooth coil sensitivity around 1: a random quadratic, +-`BIAS` over the image."""
-    i, j, k = np.meshgrid(*(np.linspace(-1, 1, n) for n in shape), indexing="ij")
-    terms = [i, j, k, i * j, j * k, i * k, i**2 - 1 / 3, j**2 - 1 / 3, k**2 - 1 / 3]
-    field = sum(weight * term for weight, term in zip(rng.uniform(-1, 1, len(terms)), terms, strict=True))
-    return np.asarray(1 + BIAS * field / np.abs(field).max())

@@ -1,17 +1,26 @@
-"""Simulated measurement of true levels: readings with noise, and the record of the load cell."""
+"""Simulated measurement of true levels: readings with noise, the record of the load cell, and their files."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 
-from limbcli.measurement.elastography import SPEED_HIGH_M_PER_S, SPEED_LOW_M_PER_S, SweMap, statistics
+from limbcli.measurement.elastography import (
+    SPEED_HIGH_M_PER_S,
+    SPEED_LOW_M_PER_S,
+    SweMap,
+    map_file,
+    statistics,
+    write_map,
+)
 from limbcli.model import Array
 from limbcli.phantom.case_folder import NoiseLaw
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels
 
+TRACE_HEADER = "time_s,force_n,depth_mm,accel_x_g,accel_y_g,accel_z_g"
 SAMPLE_NOISE_N, SAMPLE_NOISE_MM = 0.03, 0.02
 TRAVEL_NOISE_MM = 0.1  # standard deviation of the recorded travel of the probe on its guide
 LAYER_COLUMNS = ("skin_mm", "fat_mm", "muscle_mm")
@@ -127,3 +136,23 @@ def levels_rows(readings: Readings) -> tuple[list[str], list[list[str]]]:
             for row, value in zip(rows, values, strict=True):
                 row.append(f"{value:.6g}")
     return header, rows
+
+
+def write_readings(folder: Path, readings: Readings) -> None:
+    """Write a site's folder in the case format."""
+    write_levels(folder, readings)
+    trace = (f"{t:.4f},{f:.3f},{d:.3f},{x:.3f},{y:.3f},{z:.3f}" for t, f, d, x, y, z in readings.trace)
+    _write(folder / "trace.csv", [TRACE_HEADER, *trace])
+    for level, swe in enumerate(readings.maps):
+        write_map(map_file(folder / "swe", level), swe)
+
+
+def write_levels(folder: Path, readings: Readings) -> None:
+    """Write levels.csv alone, the only file of a state."""
+    folder.mkdir(parents=True, exist_ok=True)
+    header, rows = levels_rows(readings)
+    _write(folder / "levels.csv", [",".join(header), *(",".join(row) for row in rows)])
+
+
+def _write(path: Path, lines: list[str]) -> None:
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")

@@ -132,7 +132,8 @@ class Chain:
             elif sha256(path) != digest:
                 yield f"{in_words(role)} {after}", str(path)
         for label, link in made["results"].items():
-            upstream = _read_named(self.out, label)
+            stage, site = _named(label)
+            upstream = read_result(self.out, stage, site=site)
             for name in _unlike(link, upstream):
                 yield f"the result of `{label}` ({name}) {after}", str(upstream.folder)
         for label in made.get("absent", {}):
@@ -183,11 +184,6 @@ def _is_link(link: object) -> bool:
 def _named(label: str) -> tuple[str, str | None]:
     stage, _, site = label.partition(" ")
     return stage, site or None
-
-
-def _read_named(out: Path, label: str) -> StageResult:
-    stage, site = _named(label)
-    return read_result(out, stage, site=site)
 
 
 def _unlike(link: Mapping[str, Mapping[str, Any]], upstream: StageResult) -> Iterator[str]:

@@ -32,16 +32,12 @@ def acoustic_tensor(
     count as stretched, however wide the transition over which a solver engages them: a wave along them
     stretches them in any case.
 
-    Parameters
-    ----------
     deformation_gradient : (n, 3, 3), det > 0
     direction : (3,) unit, in the deformed tissue
     cells : (n,) cell numbers within the material's block of `n_cells`, used if a parameter is a map
     viscous : the instantaneous response of a viscoelastic law; if False, that of the elastic law it wraps
 
-    Returns
-    -------
-    (n, 3, 3) MPa
+    Returns (n, 3, 3) MPa
 
     >>> soft = Material("neo_hooke", {"mu": 0.004, "lambda": 0.4})
     >>> Q = acoustic_tensor(soft, np.eye(3)[None], np.array([1.0, 0.0, 0.0]))

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from limbcli.errors import MeasurementError
 from limbcli.measurement.elastography import SweMap
@@ -39,10 +38,8 @@ class PointStates:
     @staticmethod
     def of(model: LimbModel, simulation: Simulation) -> PointStates:
         """
-        Raises
-        ------
-        MeasurementError
-            If the simulation recorded no elements, or not the displacements of all of their nodes.
+        Raises MeasurementError if the simulation recorded no elements, or not the displacements of all of
+        their nodes.
         """
         elements = _largest(simulation.elements.values())
         found, items, first = [], [], 0
@@ -85,10 +82,7 @@ class NodeDisplacements:
         tables: Iterable[Table], needed: Iterable[IntegrationPoints], *, n_points: int
     ) -> NodeDisplacements:
         """
-        Raises
-        ------
-        MeasurementError
-            If no table holds the displacements of all the nodes that are needed.
+        Raises MeasurementError if no table holds the displacements of all the nodes that are needed.
         """
         nodes = np.unique(np.concatenate([np.zeros(0, np.int64), *(each.cells.ravel() for each in needed)]))
         for each in tables:
@@ -118,10 +112,7 @@ def level_maps(
     face_depths : (n_times,) mm, depth of the top of the window if it is not that of the probe (probe not in
         contact)
 
-    Raises
-    ------
-    MeasurementError
-        If the window contains no tissue at some level.
+    Raises MeasurementError if the window contains no tissue at some level.
     """
     states = PointStates.of(model, simulation)
     depths, maps = simulation.probe_depth() if face_depths is None else face_depths, []
@@ -129,7 +120,14 @@ def level_maps(
         depth = float(depths[row]) if row != AT_REST else 0.0
         positions, F = states.at(int(row))
         own = pixels[k] if pixels is not None else None
-        near = _near(positions, depth, window, own)
+        # the points within reach of any pixel
+        half, deep = window.half_width, window.depth_to
+        if own is not None:
+            half, deep = float(np.abs(own[0]).max()), float(own[1].max())
+        reach = 2 * window.smoothing + 6.0
+        near = np.abs(positions[:, 0]) <= half + reach
+        near &= np.abs(positions[:, 1]) <= window.slice_reach
+        near &= positions[:, 2] >= -depth - deep - reach
         speed = element_speeds(model, F[near], states.items[near], density_kg_per_m3=density_kg_per_m3)
         maps.append(predict_map(positions[near], speed, face_height=-depth, window=window, pixels=own))
     return maps
@@ -162,16 +160,3 @@ def _not_recorded(what: str) -> MeasurementError:
         fix="run it again with limbcli's templates: they request elements under the probe, and all "
         "displacements",
     )
-
-
-def _near(
-    positions: Array, depth: float, window: Window, pixels: tuple[Array, Array] | None
-) -> NDArray[np.bool_]:
-    """The points within reach of any pixel."""
-    half, deep = window.half_width, window.depth_to
-    if pixels is not None:
-        half, deep = float(np.abs(pixels[0]).max()), float(pixels[1].max())
-    reach = 2 * window.smoothing + 6.0
-    near = np.abs(positions[:, 0]) <= half + reach
-    near &= np.abs(positions[:, 1]) <= window.slice_reach
-    return near & (positions[:, 2] >= -depth - deep - reach)

@@ -45,10 +45,7 @@ class OgdenTerms:
     def of(material: Material) -> OgdenTerms:
         """The terms of a `Material` with law "ogden" and plain numbers as parameters.
 
-        Raises
-        ------
-        MeasurementError
-            If it is another law, or a parameter is a map or a curve.
+        Raises MeasurementError if it is another law, or a parameter is a map or a curve.
         """
         terms = terms_of(material) if material.law == "ogden" else None
         if terms is None:
@@ -123,20 +120,13 @@ def acoustic_tensor(
 ) -> Array:
     """J times the acoustic tensor, Q_ik = J (c_ijkl + sigma_jl delta_ik) n_j n_l.
 
-    Parameters
-    ----------
     deformation_gradient : (n_points, 3, 3), det > 0
     direction : (3,) or (n_points, 3), unit, in the deformed tissue
     volumetric : include the contribution of kappa; not needed for shear waves
 
-    Returns
-    -------
-    (n_points, 3, 3) MPa; its eigenvalues are rho0 v^2.
+    Returns (n_points, 3, 3) MPa; its eigenvalues are rho0 v^2.
 
-    Raises
-    ------
-    MeasurementError
-        If a deformation gradient is not finite or has a non-positive determinant.
+    Raises MeasurementError if a deformation gradient is not finite or has a non-positive determinant.
     """
     F = np.asarray(deformation_gradient, dtype=float)
     _check_invertible(F)

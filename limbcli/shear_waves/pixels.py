@@ -62,17 +62,12 @@ def predict_map(
     weights of the window's smoothing: a linear speed field is reproduced exactly, at edges too. Pixels
     outside the tissue (bone, beyond the model) and points where no wave propagates are omitted.
 
-    Parameters
-    ----------
     positions : (n_elements, 3) mm, in the deformed tissue, site frame
     speed_m_per_s : (n_elements,), NaN where no wave propagates
     face_height : z of the probe face, mm
     pixels : lateral and depth of pixels other than the window's own, such as those of a measured map, mm
 
-    Raises
-    ------
-    MeasurementError
-        If no pixel lies in the tissue.
+    Raises MeasurementError if no pixel lies in the tissue.
     """
     lateral, depth = window.pixels() if pixels is None else pixels
     known = np.flatnonzero(np.isfinite(speed_m_per_s))

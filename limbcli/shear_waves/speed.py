@@ -91,9 +91,7 @@ def wave_speed_m_per_s(
     nearly parallel to the polarisation. They agree in a plane of symmetry. Both are independent of kappa (the
     tissue is nearly incompressible: corrections are of order mu / kappa).
 
-    Returns
-    -------
-    (n_points,) m/s; NaN where no wave can propagate (rho0 v^2 <= 0, the tissue buckles).
+    Returns (n_points,) m/s; NaN where no wave can propagate (rho0 v^2 <= 0, the tissue buckles).
 
     >>> terms = OgdenTerms.one_pair(c=0.008, m=6.0)
     >>> wave_speed_m_per_s(np.eye(3)[None], terms)

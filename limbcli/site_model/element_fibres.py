@@ -12,9 +12,9 @@ from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.effects.tissue import TISSUE, limb_axis
 from limbcli.errors import CaseError
-from limbcli.meshing.fibre_picture import fibre_picture
 from limbcli.meshing.fibres_from_angles import ImageAngle, direction_of_angles, mean_axis
 from limbcli.meshing.frame import probe_axis
+from limbcli.meshing.mesh_picture import fibre_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import FIBRES, Array, ElementMap, LimbModel
 from limbcli.model.patient_frame import HEAD, side_of
@@ -44,10 +44,8 @@ class SiteFibres:
 def with_fibres(case: Case, site: Site, model: LimbModel) -> tuple[LimbModel, SiteFibres]:
     """The meshed model with the fibres stated by the case, and the fibres with their source.
 
-    Raises
-    ------
-    CaseError
-        If the angles do not determine a direction, or the map does not cover the tissue under the probe.
+    Raises CaseError if the angles do not determine a direction, or the map does not cover the tissue under
+    the probe.
     """
     found = _site_fibres(case, site, model)
     if found.axes is None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from limbcli.errors import CaseError
 from limbcli.feb.settings import LEAST_START, START_DEPTHS, Schedule, robust_contact, robust_step
 from limbcli.materials.ogden import ogden_type
-from limbcli.model import Array, ElementMap, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, ElementMap, IntArray, LimbModel, LogRecord, Material
 from limbcli.model.bodies import Drive
 
 PROBE, TISSUE, TRAVEL = "probe", "tissue", "probe_travel"
@@ -31,13 +31,21 @@ _FLAT = 1e-6
 _CONTACT_POINTS = np.array([[4.0, 1.0, 1.0], [1.0, 4.0, 1.0], [1.0, 1.0, 4.0]]) / 6
 
 
+@dataclass(frozen=True)
+class TissueLaw:
+    """c (MPa), f_kappa and m of a tissue (means, where they vary), their source in words, the sites used."""
+
+    c: float = 0.008
+    f_kappa: float = 100.0
+    m: float = 2.0
+    source: str = "assumed"
+    sites: tuple[str, ...] = ()
+
+
 def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: float, m: float) -> LimbModel:
     """The meshed model with tissue, a load through the plan's depths, solver settings and records.
 
-    Raises
-    ------
-    CaseError
-        If the model has no body `probe`, no contact, or no material `tissue`.
+    Raises CaseError if the model has no body `probe`, no contact, or no material `tissue`.
     """
     _check(model)
     model = start_at(model, plan.start).with_material(TISSUE, ogden_type(c=c, f_kappa=f_kappa, m=m))
@@ -186,3 +194,33 @@ def window_cells(model: LimbModel, deepest: float) -> IntArray:
         first += len(block.cells)
     near_cells = np.concatenate(found)
     return near_cells if len(near_cells) else np.concatenate(every)
+
+
+BAND = 0.05  # width of the transition in I4 over which fibres engage
+
+
+def softer_jumps(model: LimbModel, band: float = BAND) -> LimbModel:
+    """Let sheared fibres engage over a wider band of I4, which converges faster than an abrupt jump."""
+
+    def soften(material: Material) -> Material:
+        parts = tuple(map(soften, material.parts))
+        if material.law == "fiber_exp_pow" and material.parameters.get("mu"):
+            material = material.with_parameters(band=band)
+        return replace(material, parts=parts) if parts else material
+
+    return replace(model, materials={name: soften(each) for name, each in model.materials.items()})
+
+
+def fewer_steps(model: LimbModel, n: int) -> LimbModel:
+    """Limit the load steps of a path-dependent model to `n` equal steps.
+
+    These are sufficient. With friction, alternating long and short steps need up to twice the work of equal
+    ones.
+    """
+    steps = tuple(
+        replace(each, n_steps=n, step_size=each.n_steps * each.step_size / n, adaptive=False)
+        if each.n_steps > n
+        else each
+        for each in model.steps
+    )
+    return replace(model, steps=steps)

@@ -46,10 +46,7 @@ class LayerReadings:
     def lines(self, model: LimbModel) -> MaterialLines:
         """The borders as material lines of a model; the one at the bone is attached to the bone.
 
-        Raises
-        ------
-        MeasurementError
-            If a border does not lie in the model's tissue.
+        Raises MeasurementError if a border does not lie in the model's tissue.
         """
         places = self.rest.copy()
         if self.on_bone:

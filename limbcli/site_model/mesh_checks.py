@@ -51,10 +51,7 @@ def check_within_tissue(deepest: float, modelled: float | None, site: Site) -> l
 
     modelled : skin-bone distance in the model, mm; None: no bone
 
-    Raises
-    ------
-    MeasurementError
-        If it reaches the bone.
+    Raises MeasurementError if it reaches the bone.
     """
     if modelled is not None and deepest >= modelled:
         raise MeasurementError(

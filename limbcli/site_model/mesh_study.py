@@ -12,17 +12,16 @@ from limbcli.feb.settings import schedule
 from limbcli.files.plain_text import write_rows
 from limbcli.meshing.mending import Limb
 from limbcli.meshing.mesh_extrapolation import extrapolate
+from limbcli.meshing.mesh_picture import study_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
-from limbcli.meshing.study_picture import study_picture
 from limbcli.model import LimbModel
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, StageWriter, open_stage, read_result, stage_folder
-from limbcli.site_model.indentation_model import indentation_model, starting_depth
-from limbcli.site_model.mesh_inputs import MeshInputs
-from limbcli.site_model.segmented_limb import site_position
+from limbcli.site_model.indentation_model import TissueLaw, indentation_model, starting_depth
+from limbcli.site_model.segmented_limb import MeshInputs, site_position
 from limbcli.site_model.site_layers import layer_laws, layers_in, with_layer_laws
 from limbcli.site_model.site_levels import levels_of
 from limbcli.solvers.session import ReferenceSession
@@ -32,16 +31,6 @@ SIZE_FACTORS = (1.6, 1.25, 1.0, 0.8)
 MARGIN_FACTORS = (0.5, 0.75, 1.0, 1.5)
 _DEPTH = 8.0  # mm, depth of the study if there is no measurement
 _N_LEVELS = 4
-
-
-@dataclass(frozen=True)
-class StudiedTissue:
-    """The tissue that all meshes of a study share: c (MPa), f_kappa, m, and their source."""
-
-    c: float = 0.008
-    f_kappa: float = 100.0
-    m: float = 2.0
-    source: str = "assumed"
 
 
 @dataclass(frozen=True)
@@ -109,17 +98,17 @@ def full_depth(site: Site) -> float:
     return float(levels.depth[levels.loading].max())
 
 
-def studied_tissue(site: Site, out: Path, writer: StageWriter) -> StudiedTissue:
+def studied_tissue(site: Site, out: Path, writer: StageWriter) -> TissueLaw:
     """The parameters of the site's fit, or default ones."""
     if not (stage_folder(out, "fit", site.name) / "fit.json").is_file():
-        return StudiedTissue()
+        return TissueLaw()
     fitted = read_result(out, "fit", site=site.name)
     c, f_kappa, m = (float(fitted.data[key]) for key in ("c_kpa", "f_kappa", "m"))
     writer.used("fit", fitted.folder / "fit.json")
-    return StudiedTissue(mpa_from_kpa(c), f_kappa, m, "fit")
+    return TissueLaw(mpa_from_kpa(c), f_kappa, m, "fit")
 
 
-def reference_force(model: LimbModel, depth: float, tissue: StudiedTissue = StudiedTissue()) -> float:
+def reference_force(model: LimbModel, depth: float, tissue: TissueLaw = TissueLaw()) -> float:
     """Force (N) at `depth` (mm) by the reference solver."""
     depths = [depth * (k + 1) / _N_LEVELS for k in range(_N_LEVELS)]
     plan = schedule(depths, start=starting_depth(model, depths[0]))
@@ -132,7 +121,7 @@ def reference_force(model: LimbModel, depth: float, tissue: StudiedTissue = Stud
 
 
 def _report(
-    writer: StageWriter, found: list[Variant], options: MeshOptions, depth: float, tissue: StudiedTissue, *,
+    writer: StageWriter, found: list[Variant], options: MeshOptions, depth: float, tissue: TissueLaw, *,
     title: str,
 ) -> None:  # fmt: skip
     own = found[0]

@@ -1,13 +1,16 @@
-"""What `segment` left of a limb: its surfaces, and where a site lies on them."""
+"""What `segment` left of a limb: its surfaces, where a site lies on them, and the inputs of a site's mesh."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
-from limbcli.case import Site
+from limbcli.case import Case, Site
 from limbcli.errors import CaseError
 from limbcli.meshing.mending import Limb, mend
 from limbcli.meshing.surfaces import Triangles, read_surface
+from limbcli.provenance.chain_inputs import CaseInputs
+from limbcli.provenance.requested_options import Requested
 from limbcli.results import StageResult, StageWriter
 
 
@@ -36,10 +39,7 @@ def note_segmented(
 def site_position(site: Site, segmented: StageResult) -> tuple[float, float, float]:
     """Position of a site (LPS, mm): as given, or that of its marker.
 
-    Raises
-    ------
-    CaseError
-        If the marker was not found in the images.
+    Raises CaseError if the marker was not found in the images.
     """
     if site.position is not None:
         return site.position
@@ -53,3 +53,25 @@ def site_position(site: Site, segmented: StageResult) -> tuple[float, float, flo
         )
     x, y, z = markers[site.marker]
     return float(x), float(y), float(z)
+
+
+@dataclass(frozen=True, eq=False)
+class MeshInputs:
+    """of_case : what was and will be asked of the case for one site; requested : the options given
+    layered : whether the site's layers have the thickness found by `segment`
+    """
+
+    of_case: CaseInputs
+    segmented: StageResult
+    requested: Requested
+    layered: bool = False
+
+    @property
+    def case(self) -> Case:
+        return self.of_case.case
+
+    def note(self, writer: StageWriter, site: Site) -> None:
+        """Record the inputs of one site's mesh."""
+        self.of_case.into(writer)
+        layered = [site.name] if self.layered else []
+        note_segmented(self.segmented, writer, layered=layered, markers=site.position is None)

@@ -110,50 +110,34 @@ class Layering:
     def of(
         self, site: Site, segmented: StageResult, *, size: float
     ) -> tuple[tuple[Layer, ...], dict[str, ThicknessSource]]:
-        """The layers of one site and the source of each thickness."""
+        """The layers of one site, outermost first, and the source of each thickness.
+
+        Without a skin layer, fat begins at the surface; its thickness from images then includes the skin's,
+        so that the border to the muscle is where the images show it.
+
+        Raises CaseError if a thickness cannot be used, or the images do not give it.
+        """
         if not self.seen and self.is_from_images(site):
             raise CaseError(
                 "the images' thickness is known at the case's sites only",
                 where=f"site {site.name}, --at",
                 fix="give --fat-mm and --skin-mm in mm, 0 for none",
             )
-        return wanted_layers(site, segmented, skin=self.skin, fat=self.fat, size=size)
-
-
-def wanted_layers(
-    site: Site,
-    segmented: StageResult,
-    *,
-    skin: Thickness | None = None,
-    fat: Thickness | None = None,
-    size: float,
-) -> tuple[tuple[Layer, ...], dict[str, ThicknessSource]]:
-    """The layers of a site, outermost first, and the source of each thickness.
-
-    skin, fat : mm (0: none) or "mri"; None: according to case.toml. Without a skin layer, fat begins at the
-        surface; its thickness from images then includes the skin's, so that the border to the muscle is
-        where the images show it.
-
-    Raises
-    ------
-    CaseError
-        If a thickness cannot be used, or the images do not give it.
-    """
-    given = {"skin": skin, "fat": fat}
-    requested = {name: _requested(site, name, value) for name, value in given.items()}
-    seen = {name: _seen(site, segmented, name) for name, value in requested.items() if value == MRI}
-    shown = "MRI" if "geometry" not in segmented.data else "[imaging] shape"
-    found, sources = {}, {}
-    for name, value in requested.items():
-        found[name] = seen[name] if value == MRI else float(value)
-        sources[name] = ThicknessSource(shown if value == MRI else "given")
-    if requested["fat"] == MRI and found["skin"] == 0.0:
-        above = float(segmented.data["layers"][site.name]["skin_mm"])
-        found["fat"] += above
-        details = f"{seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
-        sources["fat"] = ThicknessSource(shown, details)
-    layers = layers_of(skin=found["skin"], fat=found["fat"], size=size)
-    return layers, {each.name: sources[each.name] for each in layers}
+        given = {"skin": self.skin, "fat": self.fat}
+        requested = {name: _requested(site, name, value) for name, value in given.items()}
+        seen = {name: _seen(site, segmented, name) for name, value in requested.items() if value == MRI}
+        shown = "MRI" if "geometry" not in segmented.data else "[imaging] shape"
+        found, sources = {}, {}
+        for name, value in requested.items():
+            found[name] = seen[name] if value == MRI else float(value)
+            sources[name] = ThicknessSource(shown if value == MRI else "given")
+        if requested["fat"] == MRI and found["skin"] == 0.0:
+            above = float(segmented.data["layers"][site.name]["skin_mm"])
+            found["fat"] += above
+            details = f"{seen['fat']:.1f} mm of fat under {above:.1f} mm of skin"
+            sources["fat"] = ThicknessSource(shown, details)
+        layers = layers_of(skin=found["skin"], fat=found["fat"], size=size)
+        return layers, {each.name: sources[each.name] for each in layers}
 
 
 def _requested(site: Site, name: str, value: Thickness | None) -> Thickness:
@@ -224,10 +208,7 @@ def layer_laws(
 ) -> dict[str, LayerLaw]:
     """The law of each layer: by option, else by case.toml, else assumed (and listed as such).
 
-    Raises
-    ------
-    CaseError
-        If a law is given for a layer that the model does not have.
+    Raises CaseError if a law is given for a layer that the model does not have.
     """
     given = given or {}
     for name in given:

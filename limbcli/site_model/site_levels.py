@@ -39,12 +39,8 @@ def all_levels_of(site: Site) -> Levels:
 def levels_of(site: Site, cycle: str = LAST) -> Levels:
     """One cycle of the site's levels.csv: the last with three levels of loading, or the one of this number.
 
-    Raises
-    ------
-    CaseError
-        If there is no such cycle, or it has too few levels.
-    MeasurementError
-        Listing every problem of the file, including layers that thicken by more than the stated noise.
+    Raises CaseError if there is no such cycle, or it has too few levels; MeasurementError listing every
+    problem of the file, including layers that thicken by more than the stated noise.
     """
     levels = all_levels_of(site)
     return levels.of_cycle(levels.chosen_cycle(cycle))
@@ -68,10 +64,7 @@ def simulated_depths(levels: Levels) -> Array:
 
     Depths less than 0.02 mm apart are merged.
 
-    Raises
-    ------
-    MeasurementError
-        If no loading level is deeper than the initial depth of the simulation.
+    Raises MeasurementError if no loading level is deeper than the initial depth of the simulation.
     """
     depths = np.unique(levels.depth[levels.loading])
     depths = depths[depths > least_level()]

@@ -26,10 +26,7 @@ class MeasuredState:
 def states_of(site: Site) -> list[MeasuredState]:
     """Every state of a site with its levels; empty if the site has no states.
 
-    Raises
-    ------
-    MeasurementError
-        Listing every problem of the files, including states without a speed at rest.
+    Raises MeasurementError listing every problem of the files, including states without a speed at rest.
     """
     found, problems = _read(site)
     return checked(found, problems, MeasurementError)

@@ -55,10 +55,7 @@ def by_landmarks(
 
     names : of the landmarks, for messages; default: their numbers
 
-    Raises
-    ------
-    MeshError
-        If there are fewer than three, they lie in a line, or they do not match within 15 mm.
+    Raises MeshError if there are fewer than three, they lie in a line, or they do not match within 15 mm.
     """
     if len(socket) != len(limb) or len(limb) < 3:
         raise MeshError(
@@ -92,17 +89,12 @@ def align(
 ) -> Alignment:
     """The rigid transform that brings an inner face onto the skin, from starts all around the limb.
 
-    Parameters
-    ----------
     face : the inner face (an open sheet) in its own frame, mm
     line : the limb's centre line
     seed : of the points that are compared
 
-    Raises
-    ------
-    MeshError
-        If the face has no opening that shows its direction, or if alignments more than 20 degrees apart
-        fit equally well.
+    Raises MeshError if the face has no opening that shows its direction, or if alignments more than 20
+    degrees apart fit equally well.
     """
     rng = np.random.default_rng(seed)
     along, tip = _direction(face, where)

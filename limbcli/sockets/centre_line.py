@@ -55,10 +55,7 @@ def centre_line(skin: Triangles, toward_tip: Array) -> CentreLine:
 
     toward_tip (3,) : direction along the limb, towards its tip
 
-    Raises
-    ------
-    MeshError
-        If the skin is shorter than three slabs of 5 mm: it is not in mm, or no limb.
+    Raises MeshError if the skin is shorter than three slabs of 5 mm: it is not in mm, or no limb.
     """
     along = np.asarray(toward_tip, dtype=float)
     along = along / np.linalg.norm(along)
@@ -93,11 +90,8 @@ def own_line(socket: Triangles, *, where: str = "socket") -> CentreLine:
 
     Of the principal axes through its centroid, that which meets the surface on one side only: the tip.
 
-    Raises
-    ------
-    MeshError
-        If it is not longer than three slabs of 5 mm, or if no axis leaves it through an opening: it is
-        closed, or open at both ends.
+    Raises MeshError if it is not longer than three slabs of 5 mm, or if no axis leaves it through an opening:
+    it is closed, or open at both ends.
     """
     weight = socket.areas
     middle = np.average(socket.centroids, axis=0, weights=weight)

@@ -133,10 +133,7 @@ def check_openings(face: Triangles, line: CentreLine, *, where: str = "socket") 
 def clearance(face: Triangles, skin: Triangles, line: CentreLine, *, where: str = "socket") -> Clearance:
     """How the limb lies in the socket before donning.
 
-    Raises
-    ------
-    MeshError
-        If the wall lies deeper in the limb than donning can resolve.
+    Raises MeshError if the wall lies deeper in the limb than donning can resolve.
     """
     height = line.height(face.points)
     h = line.height(skin.points)

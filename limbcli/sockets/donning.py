@@ -177,15 +177,11 @@ class DonningResult:
 def socket_model(limb: LimbModel, face: Triangles, options: DonningOptions | None = None) -> LimbModel:
     """The limb's model with its socket: everything a solver needs, also as `socket.feb`.
 
-    Parameters
-    ----------
     limb : solids, laws and supports: bones and proximal cut held; without contacts
     face : inner face in the limb's frame, mm, normals towards the limb
 
-    Raises
-    ------
-    CaseError
-        If the limb has no such skin, holds contacts or a body named `socket`, or an option is out of range.
+    Raises CaseError if the limb has no such skin, holds contacts or a body named `socket`, or an option is
+    out of range.
     """
     options = options or DonningOptions()
     _check(limb, options)
@@ -243,20 +239,12 @@ def don_and_load(
     """Put a limb into its socket and load it, with the reference solver. Progress says what each step leads
     to ("donned 40 %", "50 % of the way to 400 N").
 
-    Parameters
-    ----------
     limb, face, options : as for `socket_model`
     keep : folder in which an unfinished run leaves its converged load steps, from which the next run of the
         same model goes on; None: nothing is kept
 
-    Raises
-    ------
-    CaseError
-        As `socket_model`.
-    MeshError
-        If the donned socket touches the skin nowhere, and there are loads.
-    SolveError
-        If the model holds what the solver does not support, or a step has no equilibrium.
+    Raises CaseError as `socket_model`; MeshError if the donned socket touches the skin nowhere, and there are
+    loads; SolveError if the model holds what the solver does not support, or a step has no equilibrium.
     """
     options = options or DonningOptions()
     model = socket_model(limb, face, options)

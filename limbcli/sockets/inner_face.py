@@ -25,23 +25,16 @@ def inner_face(surface: Triangles, line: CentreLine, *, where: str = "socket") -
     Of a wall, the largest connected part that faces the limb's centre line; where a wall has several such
     parts (an inner and an outer shell), that nearest to it.
 
-    Parameters
-    ----------
     surface : mm, aligned with the limb
     line : centre line of the limb
 
-    Returns
-    -------
-    Triangles
-        With normals towards the limb.
+    Returns triangles with normals towards the limb.
 
-    Raises
-    ------
-    MeshError
-        If neither a sheet nor a wall is found, or its facets are not oriented alike.
+    Raises MeshError if neither a sheet nor a wall is found, or its facets are not oriented alike.
     """
     pieces = bodies(surface)
-    sheet = _wide_rims(pieces[0]) > 0
+    extent = float(np.linalg.norm(np.ptp(pieces[0].points, axis=0)))
+    sheet = sum(size > _WIDE * extent for _, size in open_rims(pieces[0])) > 0
     if sheet:
         face = pieces[0] if turned_inward(pieces[0]) else pieces[0].flipped()
         turned = 1.0 - _facing(face, line) @ face.areas / face.areas.sum()
@@ -70,11 +63,6 @@ def inner_face(surface: Triangles, line: CentreLine, *, where: str = "socket") -
     largest = max(float(each.areas.sum()) for each in parts)
     large = [each for each in parts if each.areas.sum() > 0.5 * largest]
     return min(large, key=lambda each: _distance(each, line))
-
-
-def _wide_rims(body: Triangles) -> int:
-    extent = float(np.linalg.norm(np.ptp(body.points, axis=0)))
-    return sum(size > _WIDE * extent for _, size in open_rims(body))
 
 
 def _facing(surface: Triangles, line: CentreLine) -> Array:

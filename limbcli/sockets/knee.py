@@ -37,10 +37,7 @@ def check_knee(centre: Array, line: CentreLine) -> None:
 
     line : the limb's centre line
 
-    Raises
-    ------
-    CaseError
-        With the distances.
+    Raises CaseError with the distances.
     """
     point = np.asarray(centre, float)[None]
     height = float(line.height(point)[0])  # towards the tip

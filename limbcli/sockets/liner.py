@@ -44,10 +44,7 @@ def with_liner(limb: LimbModel, liner: Liner, *, skin: str = "skin") -> LimbMode
     """The limb with its liner: block and surface `liner`; the surface's facets are in the skin's order. Of a
     liner that slides also the surface `liner_inside`, whose normals point to the skin.
 
-    Raises
-    ------
-    MeshError
-        If the layer would fold: the skin is too hollow for its thickness.
+    Raises MeshError if the layer would fold: the skin is too hollow for its thickness.
     """
     (kind, facets), *_ = limb.mesh.surfaces[skin].facets.items()
     corners = facets[:, :3]
@@ -65,7 +62,17 @@ def with_liner(limb: LimbModel, liner: Liner, *, skin: str = "skin") -> LimbMode
         inward[inner] = -TIGHT_MM * surface.point_normals
         if kind == "tri6":  # a middle node moves as its ends do on average
             inward[facets[:, 3:]] = 0.5 * (inward[corners] + inward[np.roll(corners, -1, axis=1)])
-        points, cells, inside = _detached(points, cells, facets, inward)
+        # points with the liner's own nodes in place of the skin's, its cells, and the facets of its inner
+        # face
+        own = np.unique(facets)
+        numbers = np.arange(len(points) + len(own))
+        numbers[own] = len(points) + np.arange(len(own))
+        turned = facets[:, [0, 2, 1]] if facets.shape[1] == 3 else facets[:, [0, 2, 1, 5, 4, 3]]
+        points, cells, inside = (
+            np.concatenate([points, points[own] + inward[own]]),
+            numbers[cells],
+            numbers[turned],
+        )
         surfaces[LINER_INSIDE] = Surface(LINER_INSIDE, {kind: inside})
     _refuse_folds(points, cells, liner.thickness)
     mesh = replace(
@@ -80,20 +87,6 @@ def with_liner(limb: LimbModel, liner: Liner, *, skin: str = "skin") -> LimbMode
         materials={**limb.materials, LINER: liner.material},
         domains=(*limb.domains, Domain(LINER, LINER)),
     )
-
-
-def _detached(
-    points: Array, cells: IntArray, facets: IntArray, inward: Array
-) -> tuple[Array, IntArray, IntArray]:
-    """Points with the liner's own nodes in place of the skin's, its cells, and the facets of its inner face.
-
-    inward (n_limb_points, 3) : from a node of the skin to the liner's
-    """
-    own = np.unique(facets)
-    numbers = np.arange(len(points) + len(own))
-    numbers[own] = len(points) + np.arange(len(own))
-    turned = facets[:, [0, 2, 1]] if facets.shape[1] == 3 else facets[:, [0, 2, 1, 5, 4, 3]]
-    return np.concatenate([points, points[own] + inward[own]]), numbers[cells], numbers[turned]
 
 
 def grown(surface: Triangles, thickness: float) -> Triangles:

@@ -57,18 +57,12 @@ def rectified(
     along a smooth curve (3 t^2 - 2 t^3). Where transitions overlap the amounts are averaged by their weights,
     if these exceed 1 in sum.
 
-    Parameters
-    ----------
     skin : closed or open skin with outward normals, mm
     patches : by name, the numbers of the skin's points in it
     toward_tip (3,) : direction along the limb
 
-    Raises
-    ------
-    CaseError
-        If a patch is not known or has no points, or if the transition is not positive.
-    MeshError
-        If a facet would turn over: the amounts change too fast.
+    Raises CaseError if a patch is not known or has no points, or if the transition is not positive; MeshError
+    if a facet would turn over: the amounts change too fast.
     """
     if table.transition_mm <= 0:
         raise CaseError(

@@ -15,12 +15,8 @@ ABSENT = "absent"  # identity of a requested solver that is not available
 def choose(kind: str = "auto", febio: Path | None = None) -> Solver:
     """The solver to use: "febio", "reference", or "auto" (FEBio where it is found).
 
-    Raises
-    ------
-    CaseError
-        If `kind` is none of these.
-    ToolError
-        If FEBio is requested, by kind or by naming its binary here or in the environment, and not found.
+    Raises CaseError if `kind` is none of these; ToolError if FEBio is requested, by kind or by naming its
+    binary here or in the environment, and not found.
     """
     from limbcli.solvers.febio import FebioSolver
 

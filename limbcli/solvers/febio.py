@@ -76,10 +76,7 @@ class FebioSolver:
     def version(self) -> str:
         """The version that FEBio prints ("4.11.0"); "unknown" if none appears within 5 s. Logs state it too.
 
-        Raises
-        ------
-        ToolError
-            If there is no FEBio, or it cannot be started.
+        Raises ToolError if there is no FEBio, or it cannot be started.
         """
         binary = self.need()
         try:
@@ -115,10 +112,7 @@ class FebioSolver:
     def identity(self) -> str:
         """Hash of the binary and the version it reports; the latter because its libraries are separate files.
 
-        Raises
-        ------
-        ToolError
-            As `version`.
+        Raises ToolError as `version`.
         """
         binary = self.need()
         found = binary.stat()
@@ -132,15 +126,9 @@ class FebioSolver:
 
         time_limit_s : None: from the model's size (`default_limit_s`)
 
-        Raises
-        ------
-        CaseError
-            If FEBio would write no records of the model, or unconverged ones.
-        ToolError
-            If there is no FEBio, or it cannot be started.
-        SolveError
-            If the time limit is exceeded, or FEBio's log does not report that the end of the load of this
-            model was reached, regardless of the exit status.
+        Raises CaseError if FEBio would write no records of the model, or unconverged ones; ToolError if there
+        is no FEBio, or it cannot be started; SolveError if the time limit is exceeded, or FEBio's log does
+        not report that the end of the load of this model was reached, regardless of the exit status.
         """
         outline = read_outline(feb)
         check_output(outline, feb)

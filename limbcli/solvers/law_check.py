@@ -42,12 +42,18 @@ def _has_stress(table: Table) -> bool:
 def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Path) -> None:
     """Check every table with deformation gradient and stress against its cells' laws.
 
-    Raises
-    ------
-    SolveError
-        If the median deviation from the law exceeds 3 %.
+    Raises SolveError if the median deviation from the law exceeds 3 %.
     """
-    laws = _laws_by_cell(model)
+    # the laws of the cells that can be checked, by cell number counted over all blocks
+    of_block = {each.block: each for each in model.domains}
+    laws: dict[int, Material] = {}
+    start = 0
+    for block in model.mesh.blocks:
+        domain = of_block.get(block.name)
+        law = model.materials[domain.material] if domain is not None else None
+        if law is not None and domain is not None and domain.rule is None and _is_plain(law):
+            laws.update(dict.fromkeys(range(start, start + len(block.cells)), law))
+        start += len(block.cells)
     for name, table in elements.items():
         off = _deviation(table, laws) if _has_stress(table) else None
         if off is not None and off > _TOLERANCE:
@@ -59,20 +65,6 @@ def check_first_step(model: LimbModel, elements: Mapping[str, Table], folder: Pa
                 "run`); check which program --febio names",
                 deviation=off,
             )
-
-
-def _laws_by_cell(model: LimbModel) -> dict[int, Material]:
-    """The laws of the cells that can be checked, by cell number counted over all blocks."""
-    of_block = {each.block: each for each in model.domains}
-    found: dict[int, Material] = {}
-    start = 0
-    for block in model.mesh.blocks:
-        domain = of_block.get(block.name)
-        law = model.materials[domain.material] if domain is not None else None
-        if law is not None and domain is not None and domain.rule is None and _is_plain(law):
-            found.update(dict.fromkeys(range(start, start + len(block.cells)), law))
-        start += len(block.cells)
-    return found
 
 
 def _is_plain(law: Material) -> bool:
@@ -98,7 +90,8 @@ def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
     most = [k for k in np.argsort(-size) if small[k] and size[k] > _LOADED * size.max() > 0][:_CELLS]
     if not most:
         return None
-    stress = np.array([_voigt(cauchy_stress(laws[int(items[k])], F[k][None])[0]) for k in most])
+    stress = np.array([cauchy_stress(laws[int(items[k])], F[k][None])[0] for k in most])
+    stress = stress[:, [0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]
     expected = _deviator(stress)
     scale = np.maximum(size[most], np.linalg.norm(expected, axis=1))
     return float(np.median(np.linalg.norm(deviator[most] - expected, axis=1) / scale))
@@ -107,7 +100,3 @@ def _deviation(table: Table, laws: Mapping[int, Material]) -> float | None:
 def _deviator(stress: Array) -> Array:
     """Deviatoric part (n, 6): the mean of the first three components is subtracted from them."""
     return np.concatenate([stress[:, :3] - stress[:, :3].mean(axis=1, keepdims=True), stress[:, 3:]], axis=1)
-
-
-def _voigt(stress: Array) -> Array:
-    return stress[[0, 1, 2, 0, 1, 0], [0, 1, 2, 1, 2, 2]]

@@ -56,10 +56,7 @@ class MaterialLines:
     def of_table(self, table: Table) -> Array:
         """Displacements (n_times, n_items, 3) of `items`, from a record of at least these nodes.
 
-        Raises
-        ------
-        MeasurementError
-            If the record lacks some of them.
+        Raises MeasurementError if the record lacks some of them.
         """
         place = np.full(max(int(table.items.max(initial=0)), int(self.items.max())) + 1, -1)
         place[table.items] = np.arange(len(table.items))
@@ -72,10 +69,7 @@ class MaterialLines:
 def displacements(lines: MaterialLines, simulation: Simulation) -> Array:
     """Displacements (n_times, n_items, 3) of the nodes that determine the lines.
 
-    Raises
-    ------
-    MeasurementError
-        If the simulation did not record them.
+    Raises MeasurementError if the simulation did not record them.
     """
     for table in simulation.nodes.values():
         if {"ux", "uy", "uz"} <= set(table.fields):
@@ -88,10 +82,8 @@ def material_lines(model: LimbModel, rest: Array) -> MaterialLines:
 
     NaN stands for the bone surface, which does not move.
 
-    Raises
-    ------
-    MeasurementError
-        If the beam does not intersect the tissue, a cell is not a tetrahedron, or a line lies below the bone.
+    Raises MeasurementError if the beam does not intersect the tissue, a cell is not a tetrahedron, or a line
+    lies below the bone.
     """
     column = _Column(model)
     rest = np.asarray(rest, dtype=float)

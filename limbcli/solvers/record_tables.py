@@ -26,10 +26,7 @@ class Tables:
 def read_finished(solver: str, feb: Path) -> Simulation:
     """The results of a finished run, from the files next to its model file.
 
-    Raises
-    ------
-    SolveError
-        If the log reports an incomplete run or another model, or a record file is incomplete.
+    Raises SolveError if the log reports an incomplete run or another model, or a record file is incomplete.
     """
     outline = read_outline(feb)
     path = feb.parent / LOG_FILE
@@ -55,10 +52,8 @@ def read_finished(solver: str, feb: Path) -> Simulation:
 def read_tables(outline: Outline, folder: Path) -> Tables:
     """Read all record files of a model and check them against each other.
 
-    Raises
-    ------
-    SolveError
-        If a file is missing, truncated or inconsistent with its record, or its times differ from the others'.
+    Raises SolveError if a file is missing, truncated or inconsistent with its record, or its times differ
+    from the others'.
     """
     rigid: dict[str, Table] = {}
     nodes: dict[str, Table] = {}

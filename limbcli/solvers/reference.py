@@ -71,11 +71,8 @@ class ReferenceSolver:
         A run that is stopped leaves its converged levels there, and the next run of the same file
         resumes from them.
 
-        Raises
-        ------
-        CaseError, SolveError
-            If the file uses an unsupported feature (before anything is computed), if a level is not
-            reached, or if the time limit is exceeded before the end is reached.
+        Raises CaseError or SolveError if the file uses an unsupported feature (before anything is computed),
+        if a level is not reached, or if the time limit is exceeded before the end is reached.
         """
         model = read_feb(feb)
         left_out = "; ".join(model.info.get(IGNORED, ()))

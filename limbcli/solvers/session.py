@@ -142,8 +142,6 @@ class ReferenceSession:
     ) -> SessionResult:
         """Solve the model, or `model2` with the same mesh, contact and supports.
 
-        Parameters
-        ----------
         model2 : variant in materials, load curves, steps and records; None: the session's current model
         wrt : (material, parameter) pairs to differentiate by, such as ("tissue", "c1"); ("tissue", "m1-m2")
             increases m1 and decreases m2 together
@@ -183,7 +181,7 @@ class ReferenceSession:
         self._analysis.model = model
         values = parameter_values(model, wrt, moved)
         self._warm = self._warm or WarmStart()
-        warm = self._warm if start.levels is None else WarmStart.by(start.levels)
+        warm = self._warm if start.levels is None else WarmStart(start.levels)
         warm.at(values)
         if start.independent:
             self._analysis.forget()

@@ -17,11 +17,8 @@ _SET_UP = ("mesh", "domains", "bodies", "supports", "drives", "loads", "springs"
 def check_same_set_up(model: LimbModel, other: LimbModel) -> None:
     """Refuse a model that a session of `model` cannot solve.
 
-    Raises
-    ------
-    CaseError
-        If they differ in mesh, domains, bodies, supports, drives, loads, springs or contacts, which are
-        fixed for a session.
+    Raises CaseError if they differ in mesh, domains, bodies, supports, drives, loads, springs or contacts,
+    which are fixed for a session.
     """
     different = [name for name in _SET_UP if not _alike(getattr(model, name), getattr(other, name))]
     if different:

@@ -1,11 +1,16 @@
-"""How far a session's solve goes, and where it starts from."""
+"""How far a session's solve goes, where it starts from, and the work that it may take.
+
+Work is counted in solver operations, not in time, so that a solve stops at the same point on any machine. The
+unit is one product with the factorised matrix, as in a Krylov iteration.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from limbcli.solvers.budget import Budget
+from limbcli.errors import SolveError
 
 if TYPE_CHECKING:
     from limbcli.fem.warm_start import Solved
@@ -45,3 +50,42 @@ class StartFrom:
 
     levels: Solved | None = None
     independent: bool = False
+
+
+_PER_ITERATION, _PER_FACTOR = 10, 20  # further work of a Newton iteration, and of a factorisation
+
+
+class BudgetSpent(SolveError):
+    """The solve was stopped because it took all the work it was allowed."""
+
+
+@dataclass(kw_only=True)
+class Budget:
+    """Work that a solve may take, and has taken.
+
+    allowed : limit in products
+    needed : fraction of the load steps that must be reached; inf: all are equally important
+    beyond : limit of the load steps after those, as a fraction of the work of the latter
+    spent : products so far
+    """
+
+    allowed: float = math.inf
+    needed: float = math.inf
+    beyond: float = 1.0
+    spent: int = 0
+
+    def charge(self, *, step: int, n_steps: int, krylov: int, factorisations: int) -> None:
+        """Count a Newton iteration in a load step, with its Krylov products and factorisations.
+
+        Raises BudgetSpent if the work exceeds what is allowed.
+        """
+        if step > self.needed * n_steps:
+            self.needed, self.allowed = math.inf, min(self.allowed, (1.0 + self.beyond) * self.spent)
+        self.spent += _PER_ITERATION + krylov + _PER_FACTOR * factorisations
+        if self.spent > self.allowed:
+            raise BudgetSpent(
+                f"load step {step} of {n_steps} was stopped after {self.spent} matrix products; "
+                f"{self.allowed:.0f} are allowed",
+                where="reference solver", fix="allow more work, or coarsen the mesh",
+                spent=self.spent, allowed=self.allowed,
+            )  # fmt: skip

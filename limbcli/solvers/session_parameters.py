@@ -45,10 +45,7 @@ def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> La
     For a prestrained material, "ramp" is the ramp of its prestrain, and "F0", with any suffix, its prestrain
     gradient, whose nine numbers change by `weights`.
 
-    Raises
-    ------
-    SolveError
-        If "F0" is requested without nine weights.
+    Raises SolveError if "F0" is requested without nine weights.
     """
     from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
 
@@ -111,11 +108,8 @@ def nudged(
     Combined parameters change together, by a fraction of the first. A map changes uniformly, or along
     `along` (n_cells,), and a prestrain gradient along its nine numbers, by a fraction of the largest entry.
 
-    Raises
-    ------
-    SolveError
-        If the material has no such parameter, or several, or its value cannot be changed by a fraction of
-        itself: it is zero, not a number or map, or `along` is missing or does not fit.
+    Raises SolveError if the material has no such parameter, or several, or its value cannot be changed by a
+    fraction of itself: it is zero, not a number or map, or `along` is missing or does not fit.
     """
     material = model.materials[name[0]]
     is_gradient = material.law == "prestrain" and name[1].startswith(_GRADIENT)

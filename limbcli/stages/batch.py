@@ -23,7 +23,7 @@ from limbcli.provenance.requested_options import in_words, options_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand
-from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage, keep_error
+from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage, keep_error, report_failure
 from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
 from limbcli.stages.machine.kernels import compile_ahead
 
@@ -55,8 +55,6 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
 
     Raises CaseError if the folder does not exist.
     """
-    from limbcli.stages.report_pages.failure import report_failure
-
     try:
         return Case.open(folder)
     except CaseError as error:

@@ -16,7 +16,6 @@ import numpy as np
 from limbcli.cohorts.column_checks import checked_cohort
 from limbcli.cohorts.compliance import compliance_left_out
 from limbcli.cohorts.estimate import CohortNoise, SiteEstimate, estimate_sites, noise_of
-from limbcli.cohorts.page import PICTURES, cohort_page, is_ours
 from limbcli.cohorts.result import (
     UNTOLD_MUSCLE,
     UNTOLD_RATIO,
@@ -28,6 +27,7 @@ from limbcli.cohorts.result import (
     site_entry,
     summary_lines,
 )
+from limbcli.cohorts.sections import PICTURES, cohort_page, is_ours
 from limbcli.cohorts.table import CohortTable
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import checked, raise_errors
@@ -71,7 +71,19 @@ def cohort(
     progress.event("task", name="compliance of held-out people", done=1, total=1)
     warnings = [*_trust(estimates, family), *words, *warnings]  # what bears on the results first
     data = _data(rows, family, noise, estimates, predicted, seconds)
-    return _written(out, table, data, warnings, templates)
+    own = {**provenance(), "inputs_sha256": {table.name: sha256(table)}}
+    content = plain(
+        {"format": 1, "stage": STAGE, "table": table.name, **data, "warnings": warnings, "provenance": own}
+    )
+    with atomic_set(out, last=RESULT) as work:
+        cohort_page(content, work, PAGE, templates=templates)
+        with (work / ROWS).open("w", newline="", encoding="utf-8") as stream:
+            writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows({k: text_cell(v) for k, v in row.items()} for row in content["rows"])
+        content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _RECORDED}
+        content = write_sealed(work / RESULT, content)
+    return _result(out, content)
 
 
 def _refuse_foreign(out: Path, table: Path) -> None:
@@ -171,24 +183,6 @@ def _data(
         "compliance_left_out": predicted,
         "rows": rows,
     }
-
-
-def _written(
-    out: Path, table: Path, data: dict[str, Any], warnings: list[str], templates: Path | None
-) -> StageResult:
-    own = {**provenance(), "inputs_sha256": {table.name: sha256(table)}}
-    content = plain(
-        {"format": 1, "stage": STAGE, "table": table.name, **data, "warnings": warnings, "provenance": own}
-    )
-    with atomic_set(out, last=RESULT) as work:
-        cohort_page(content, work, PAGE, templates=templates)
-        with (work / ROWS).open("w", newline="", encoding="utf-8") as stream:
-            writer = csv.DictWriter(stream, list(content["rows"][0]), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows({k: text_cell(v) for k, v in row.items()} for row in content["rows"])
-        content["provenance"]["files_sha256"] = {name: sha256(work / name) for name in _RECORDED}
-        content = write_sealed(work / RESULT, content)
-    return _result(out, content)
 
 
 def _result(out: Path, content: dict[str, Any]) -> StageResult:

@@ -8,7 +8,7 @@ of the same place (another orientation, a repeat) are diagnosed jointly, as they
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -22,7 +22,6 @@ from limbcli.diagnosis.diagnosed_force import diagnosed_force
 from limbcli.diagnosis.drainage import DrainageSolver
 from limbcli.diagnosis.explanations import decisions, verdict
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
-from limbcli.diagnosis.explanations.forward_model import Explanation
 from limbcli.diagnosis.explanations.residuals import force_jump
 from limbcli.diagnosis.explanations.sentences import sentences
 from limbcli.diagnosis.forward_model.measurement_menu import known
@@ -216,7 +215,11 @@ class _Diagnosed:
             for name, why in mine.curves.changes.not_simulated.items():
                 writer.warnings.append(f"{name} was evaluated at the deformation without it: {why}")
             if forward_model.not_simulated:
-                writer.warnings.append(_not_simulated(forward_model.not_simulated))
+                names = ", ".join(sorted(" + ".join(each) for each in forward_model.not_simulated))
+                writer.warnings.append(
+                    f"the simulations used up the diagnosis's work budget; fitted by sensitivities only: "
+                    f"{names}"
+                )
             warning = large_uncertainty(mine.interventions)
             writer.warnings.extend([warning] if warning else [])
             content = _content(found, forward_model, all_, mine)
@@ -266,11 +269,6 @@ def _content(
         "drainage": mine.notes.data.get("drainage"),
         "sentences": lines,
     }  # fmt: skip
-
-
-def _not_simulated(several: Iterable[Explanation]) -> str:
-    names = ", ".join(sorted(" + ".join(each) for each in several))
-    return f"the simulations used up the diagnosis's work budget; fitted by sensitivities only: {names}"
 
 
 def _in_part(reached: Mapping[str, float]) -> str:

@@ -37,11 +37,10 @@ from limbcli.fitting.model_checks import (
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
-from limbcli.fitting.result import write_agreement, write_result, write_widening
+from limbcli.fitting.result import write_agreement, write_result, write_tissue_force, write_widening
 from limbcli.fitting.solve_again import CheckSolver, checked_levels
 from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.fitting.table import NAMES, Identified
-from limbcli.fitting.tissue_force import write_tissue_force
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.geometry_uncertainty import no_narrower
 from limbcli.inference.prediction import SolvedPoints

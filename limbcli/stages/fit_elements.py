@@ -22,7 +22,7 @@ from limbcli.fitting.options import COMPARISON
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.two_step_fit import CurveMatch, FittedStep, two_step
 from limbcli.meshing.elements import with_element
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
@@ -112,9 +112,13 @@ def _compare_site(
             linear = forces if not found else _forces_with(memory, found[0].steps[-1].theta, writer)
         finally:
             curve.close()
+        # displacements of the nodes of solid cells that are not fully fixed
+        nodes = np.unique(np.concatenate([block.cells.ravel() for block in same.mesh.solid_blocks]))
+        held = [same.mesh.node_sets[s.node_set] for s in same.supports if len(s.dofs) == 3]
+        free = np.setdiff1d(nodes, np.concatenate(held) if held else np.zeros(0, np.int64))
         found.append(ElementFit(
             element=element, depths=curve.depths, start_force=start, sweep_force=np.array(sweep), steps=steps,
-            fitted_force=forces, linear_force=linear, n_unknowns=_unknowns(same),
+            fitted_force=forces, linear_force=linear, n_unknowns=3 * len(free),
         ))  # fmt: skip
     _write(writer, found, kpa_from_mpa(stiffness.c), source, data.depth, data.force)
 
@@ -126,13 +130,6 @@ def _forces_with(curve: SolvedPoints, theta: Array, writer: StageWriter) -> Arra
     except SolveError as error:
         writer.warnings.append(f"tet10 could not be solved with the parameters of tet4: {error.what}")
         return np.full(len(curve(START).values), np.nan)
-
-
-def _unknowns(model: LimbModel) -> int:
-    """Number of displacement unknowns: three per node of a solid cell that is not fully fixed."""
-    nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
-    held = [model.mesh.node_sets[s.node_set] for s in model.supports if len(s.dofs) == 3]
-    return 3 * len(np.setdiff1d(nodes, np.concatenate(held) if held else np.zeros(0, np.int64)))
 
 
 def _write(

@@ -42,7 +42,7 @@ from limbcli.provenance.chain_inputs import note_templates, noted
 from limbcli.provenance.requested_options import requested_of
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
-from limbcli.site_model.indentation_model import TISSUE
+from limbcli.site_model.indentation_model import TISSUE, TissueLaw
 from limbcli.site_model.segmented_limb import named_surfaces, note_segmented, site_position
 from limbcli.site_model.site_layers import (
     Layering,
@@ -57,7 +57,6 @@ from limbcli.stages.limb_field.limb_force import as_on_limb, contradicting_force
 from limbcli.stages.limb_model.element_values import (
     F_KAPPA,
     ElementValues,
-    LimbStiffness,
     M,
     columns_of,
     element_values,
@@ -142,7 +141,8 @@ def limb(
         layers, sources = limb_layers(case, layering, segmented, writer)
         field = _field(case, chain, skin, bones, frame, options, writer)
         stiffness = limb_stiffness(case, chain, writer, c_kpa=options.c_kpa) if field is None else None
-        tube = _is_tube(segmented)
+        geometry = segmented.data.get("geometry")
+        tube = isinstance(geometry, Mapping) and geometry.get("kind") == _ASSUMED_TUBE
         places = _places(case, segmented, skin, writer)
         mesh_options = LimbMeshOptions(
             element=options.element or case.model.element, nodes=options.nodes, cut=options.cut,
@@ -253,11 +253,6 @@ def _write_draws(
         progress.event("task", name="limb: models of draws", done=n, total=len(numbers))
         drawn = model_of_draw(model, tissue, draws.draw(k), centroids)
         write_feb(drawn, writer.file(f"feb_draw_{k:02d}", f"limb_draw_{k:02d}.feb"), templates)
-
-
-def _is_tube(segmented: StageResult) -> bool:
-    geometry = segmented.data.get("geometry")
-    return isinstance(geometry, Mapping) and geometry.get("kind") == _ASSUMED_TUBE
 
 
 # ---------------------------------------------------------------- layers
@@ -419,7 +414,7 @@ def _body(name: str) -> str:
 
 def _report(
     writer: StageWriter, found: LimbMesh, model: LimbModel, parts: LimbParts, frame: LimbFrame,
-    stiffness: LimbStiffness, values: ElementValues,
+    stiffness: TissueLaw, values: ElementValues,
 ) -> None:  # fmt: skip
     mesh = model.mesh
     cells = np.concatenate([each.cells for each in mesh.solid_blocks])

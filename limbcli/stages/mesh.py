@@ -37,8 +37,7 @@ from limbcli.site_model.mesh_checks import (
     measured_skin_bone,
     moved_warnings,
 )
-from limbcli.site_model.mesh_inputs import MeshInputs
-from limbcli.site_model.segmented_limb import read_limb, site_position
+from limbcli.site_model.segmented_limb import MeshInputs, read_limb, site_position
 from limbcli.site_model.site_layers import (
     Layering,
     Thickness,
@@ -202,8 +201,8 @@ def _report(
         {
             "element": options.element,
             "mesher": found.maker,
-            "quality": figures.to_json(),
-            "checks": checks.to_json(),
+            "quality": vars(figures),
+            "checks": vars(checks),
             "mending": [*limb.notes, *found.notes],
             "frame": {
                 "skin_point_mm": frame.skin_point, "normal": frame.normal, "long_axis": frame.long_axis,

@@ -25,8 +25,6 @@ MRI, LEVELS, README = "mri", "levels.csv", "README.md"
 def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
     """Write a commented case folder whose values `limbcli check` asks for one by one.
 
-    Parameters
-    ----------
     folder : must be absent or empty; existing files are never changed
     sites : names of the places that will be measured
 

@@ -29,8 +29,8 @@ from limbcli.imaging.surface import write_surface
 from limbcli.phantom import truth
 from limbcli.phantom.case_folder import LEVELS_HEADER, NoiseLaw, case_table, geometry_truth, site_table, toml
 from limbcli.phantom.dicom_series import write_series
-from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.mri import SimulatedVolume, acquire, tissue_fractions
+from limbcli.phantom.simulated_readings import write_readings
 from limbcli.phantom.subject import PLACES, PhantomSite, Subject, make_subject
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, provenance
@@ -97,13 +97,20 @@ def phantom(
     if options.synth is not None:
         compile_ahead()
     with atomic_folder(folder, is_new=not force) as work:
-        volume = _write_image(subject, work, options, rng_image, progress)
+        fractions = tissue_fractions(
+            subject.anatomy, subject.grid, subject.limb_from_patient, progress=progress
+        )
+        volume = acquire(fractions, subject.grid, rng=rng_image)
+        write_series(work / "mri", volume.signal, subject.grid, subject=options.subject_id, seed=options.seed)
         _write_geometry(subject, volume, work)
         _write_case(subject, work, options, options.noise, measured=False)
         measured = _measure(subject, work, options, progress)
         if measured:
             _write_case(subject, work, options, measured[0].law, measured=True)
-        _write_truth(subject, work, options, measured)
+        table = geometry_truth(subject, seed=options.seed, dice_labels=LABELS)
+        if measured and options.synth is not None:
+            table |= truth_table(measured, options.synth)
+        (work / TRUTH / "truth.toml").write_text(toml(table), encoding="utf-8")
         keep_expected(folder, work)
         _check_target(folder, force=force)  # another program may have made it meanwhile
     return _result(folder, subject, volume, measured, options)
@@ -133,15 +140,6 @@ def _places(names: tuple[str, ...]) -> tuple[PhantomSite, ...]:
     return tuple(each for each in PLACES if each.name in names)
 
 
-def _write_image(
-    subject: Subject, work: Path, options: PhantomOptions, rng: np.random.Generator, progress: Progress
-) -> SimulatedVolume:
-    fractions = tissue_fractions(subject.anatomy, subject.grid, subject.limb_from_patient, progress=progress)
-    volume = acquire(fractions, subject.grid, rng=rng)
-    write_series(work / "mri", volume.signal, subject.grid, subject=options.subject_id, seed=options.seed)
-    return volume
-
-
 def _write_geometry(subject: Subject, volume: SimulatedVolume, work: Path) -> None:
     """Write the true label map and surfaces."""
     folder = work / TRUTH
@@ -149,15 +147,6 @@ def _write_geometry(subject: Subject, volume: SimulatedVolume, work: Path) -> No
     truth.write_labels(folder / LABELS, volume.labels, subject.grid)
     for name, surface in truth.surfaces(subject).items():
         write_surface(folder / f"{name}.ply", surface)
-
-
-def _write_truth(
-    subject: Subject, work: Path, options: PhantomOptions, measured: list[SyntheticSite]
-) -> None:
-    table = geometry_truth(subject, seed=options.seed, dice_labels=LABELS)
-    if measured and options.synth is not None:
-        table |= truth_table(measured, options.synth)
-    (work / TRUTH / "truth.toml").write_text(toml(table), encoding="utf-8")
 
 
 def _measure(

@@ -70,7 +70,18 @@ def run_file(
     options: RunOptions = RunOptions(), progress: Progress = SILENT,
 ) -> StageResult:  # fmt: skip
     """Run a model file that belongs to no case; the result is `<out>/run`. Raises as `limbcli.run_feb`."""
-    _refuse_results_of_a_case(out, feb)
+    # a file's result would replace `run/` of all sites
+    stages = [stage_folder(out, each) for each in _OF_A_CASE]
+    found = [
+        *(each for each in stages if each.is_dir()),
+        *sorted(stage_folder(out, STAGE).glob("*/run.json")),
+    ]
+    if found:
+        raise CaseError(
+            "the output folder holds the results of a case, whose runs those of a file would replace",
+            where=str(found[0]),
+            fix=f"give another folder: limbcli run {shlex.quote(str(feb))} --out FOLDER",
+        )
     runner = _Runner.of(solver, febio, options, progress)
     model = runnable(feb)
     progress.event("stage", name=f"{STAGE} {feb.name}", site=None)
@@ -101,21 +112,6 @@ class _Runner:
                 )
             engine = replace(engine, keep_plot=True)
         return _Runner(engine, options, progress)
-
-
-def _refuse_results_of_a_case(out: Path, feb: Path) -> None:
-    """Refuse an output folder with a case's results: a file's result would replace `run/` of all sites."""
-    stages = [stage_folder(out, each) for each in _OF_A_CASE]
-    found = [
-        *(each for each in stages if each.is_dir()),
-        *sorted(stage_folder(out, STAGE).glob("*/run.json")),
-    ]
-    if found:
-        raise CaseError(
-            "the output folder holds the results of a case, whose runs those of a file would replace",
-            where=str(found[0]),
-            fix=f"give another folder: limbcli run {shlex.quote(str(feb))} --out FOLDER",
-        )
 
 
 def model_name(feb: Path) -> str:

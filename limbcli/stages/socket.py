@@ -26,10 +26,10 @@ from limbcli.sockets.alignment import misplaced
 from limbcli.sockets.donning import DonningOptions, DonningResult, SocketState, don_and_load, for_febio
 from limbcli.stages.in_socket.intervals import Pose, drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
-from limbcli.stages.in_socket.patch_pressure import PatchPressure
 from limbcli.stages.in_socket.patch_table import (
     WHOLE,
     Interval,
+    PatchPressure,
     patch_masks,
     patch_rows,
     pressure_picture,

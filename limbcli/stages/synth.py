@@ -24,9 +24,8 @@ from limbcli.files.temporary_folders import scratch_folder
 from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model
 from limbcli.phantom.case_folder import NoiseLaw, toml
-from limbcli.phantom.measured_files import write_levels, write_readings
 from limbcli.phantom.protocol import TrueLevels
-from limbcli.phantom.simulated_readings import Readings, measure
+from limbcli.phantom.simulated_readings import Readings, measure, write_levels, write_readings
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, provenance, read_result, stage_folder
@@ -128,7 +127,15 @@ def measure_sites(
 
     Raises CaseError if the fitted mesh is to be used, but another element type or other sizes are given.
     """
-    _refuse_unheard(options)
+    # these have no effect when the fitted mesh is used
+    usual, names = SynthOptions(), ("size", "far_size", "margin")
+    if options.same_mesh and any(getattr(options, each) != getattr(usual, each) for each in names):
+        raise CaseError(
+            "mesh sizes are given, but no mesh is made",
+            where="--same-mesh",
+            fix="omit --size-mm, --far-size-mm and --margin-mm, or omit --same-mesh; `limbcli "
+            "mesh` sets those of the mesh that is fitted",
+        )
     if case.imaging.shape is not None:
         check_beside_numbers(options.hidden)
     numbers = {each.name: k for k, each in enumerate(case.sites)}
@@ -142,18 +149,6 @@ def measure_sites(
             for site in sites
             for each in _measure_site(case, site, folder, options, numbers[site.name], progress)
         ]
-
-
-def _refuse_unheard(options: SynthOptions) -> None:
-    """Refuse mesh options that have no effect when the fitted mesh is used."""
-    usual, names = SynthOptions(), ("size", "far_size", "margin")
-    if options.same_mesh and any(getattr(options, each) != getattr(usual, each) for each in names):
-        raise CaseError(
-            "mesh sizes are given, but no mesh is made",
-            where="--same-mesh",
-            fix="omit --size-mm, --far-size-mm and --margin-mm, or omit --same-mesh; `limbcli "
-            "mesh` sets those of the mesh that is fitted",
-        )
 
 
 def _segmented(case: Case, out: Path, progress: Progress) -> None:

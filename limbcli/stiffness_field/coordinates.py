@@ -111,10 +111,7 @@ def limb_coordinates(
     skin, bones : open or closed surfaces in one frame, mm; the flat closure of the proximal end is left out
     axis : (3,) along the limb towards proximal
 
-    Raises
-    ------
-    MeshError
-        If the axis has no direction, or does not run along the skin.
+    Raises MeshError if the axis has no direction, or does not run along the skin.
     """
     size = float(np.linalg.norm(axis))
     if not np.isfinite(size) or size < 1e-9:
@@ -129,7 +126,10 @@ def limb_coordinates(
     across = np.stack([front, np.cross(axis, front)])
     along = skin.points @ axis
     heights, centres = _centre_line(skin, axis, across, float(along.min()), float(along.max()), where)
-    wall = skin.part(np.logical_not(_proximal_cap(skin, axis)))
+    facing = (skin.area_vectors @ axis) / np.maximum(skin.areas, 1e-12)
+    height = skin.centroids @ axis
+    cap = (np.abs(facing) > _CAP_COSINE) & (height > height.max() - _CAP_MM)  # flat, at the proximal end
+    wall = skin.part(~cap)
     inner = cKDTree(np.concatenate([_samples(each) for each in bones])) if len(bones) else None
     return LimbCoordinates(axis, float(along.min()), heights, centres, across, cKDTree(_samples(wall)), inner)
 
@@ -152,13 +152,6 @@ def _centre_line(
         )
     smooth = gaussian_filter1d(np.array(middles), _SMOOTHING / _STEP, axis=0, mode="nearest")
     return np.array(found), np.asarray(smooth, float)
-
-
-def _proximal_cap(skin: Triangles, axis: Array) -> Array:
-    """Faces (m,) of the flat closure at the proximal end."""
-    facing = (skin.area_vectors @ axis) / np.maximum(skin.areas, 1e-12)
-    height = skin.centroids @ axis
-    return np.asarray((np.abs(facing) > _CAP_COSINE) & (height > height.max() - _CAP_MM))
 
 
 def _samples(surface: Triangles) -> Array:

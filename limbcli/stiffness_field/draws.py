@@ -102,10 +102,7 @@ class Draws:
     def draw(self, k: int) -> Draw:
         """Draw number k, from 0.
 
-        Raises
-        ------
-        FitError
-            If there is no such draw.
+        Raises FitError if there is no such draw.
         """
         if not 0 <= k < self.n:
             raise FitError(

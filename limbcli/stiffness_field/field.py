@@ -299,10 +299,8 @@ def stiffness_field(
 
     Without sites it is the prior everywhere. Parameters that no site tells keep their prior.
 
-    Raises
-    ------
-    FitError
-        If a reading is not finite and positive, in another unit, or of a site that was given twice.
+    Raises FitError if a reading is not finite and positive, in another unit, or of a site that was given
+    twice.
     """
     check_readings(sites, maps)
     hypotheses = (grid or HypothesisGrid()).combinations()

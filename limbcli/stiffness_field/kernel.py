@@ -50,7 +50,8 @@ class Between:
             if name == "around":
                 found = np.exp(-0.5 * self._chord / length**2)
             else:
-                found = _matern((self._height if name == "height" else self._depth) / length)
+                scaled = np.sqrt(3.0) * ((self._height if name == "height" else self._depth) / length)
+                found = (1.0 + scaled) * np.exp(-scaled)
             self._known[name, length] = found
         return self._known[name, length]
 
@@ -58,11 +59,6 @@ class Between:
 def correlation(a: AnatomicalPlaces, b: AnatomicalPlaces, lengths: Lengths) -> Array:
     """Correlation (n_a, n_b) between places."""
     return Between(a, b).correlation(lengths)
-
-
-def _matern(distance: Array) -> Array:
-    scaled = np.sqrt(3.0) * distance
-    return np.asarray((1.0 + scaled) * np.exp(-scaled))
 
 
 @dataclass(frozen=True, eq=False)

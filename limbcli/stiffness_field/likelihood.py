@@ -103,10 +103,7 @@ def likelihood_of(interval: Interval, *, where: str) -> Known | Bound | None:
 
     A value outside its interval is replaced by the interval's middle (of logarithms).
 
-    Raises
-    ------
-    FitError
-        If a number is not finite and positive, or the interval's ends are reversed.
+    Raises FitError if a number is not finite and positive, or the interval's ends are reversed.
 
     >>> likelihood_of(Interval(3.0, 2.0, None), where="m of p1").side
     1.0

@@ -89,10 +89,7 @@ def map_reading(
     to_patient : (4, 4) from the site's frame (lateral along x, depth along -z) to the limb's
     noise : of ln speed; the noise of neighbouring squares is correlated as that of their pixels
 
-    Raises
-    ------
-    MeasurementError
-        If the map has no pixels, or a speed is not positive.
+    Raises MeasurementError if the map has no pixels, or a speed is not positive.
     """
     if not len(swe):
         raise MeasurementError(
@@ -149,10 +146,7 @@ def _noise(pixels: Array, square: Array, count: Array, noise: PixelNoise) -> Arr
 def check_readings(sites: Sequence[SiteReading], maps: Sequence[MapReading]) -> None:
     """Refuse readings that cannot be those of one limb's sites.
 
-    Raises
-    ------
-    FitError
-        With the site, and what is wrong with it.
+    Raises FitError with the site, and what is wrong with it.
     """
     names = [each.name for each in sites]
     again = sorted({name for name in names if names.count(name) > 1})

@@ -17,7 +17,6 @@ from lxml import etree
 from limbcli.files.unpacking import DAMAGED, UnpackingBudget
 from limbcli.files.xml import own_text, parsed_xml
 from limbcli.model import Array, IntArray
-from limbcli.surface_formats import lz4
 from limbcli.surface_formats.polygons import by_length, from_cells, from_strips
 
 _TYPES = {"Int8": "i1", "UInt8": "u1", "Int16": "i2", "UInt16": "u2", "Int32": "i4", "UInt32": "u4",
@@ -132,7 +131,7 @@ class _File:
             return _checked(self.budget.inflate(block, size, is_lzma="LZMA" in self.packer), size)
         if "LZ4" in self.packer:
             self.budget.spend(size)
-            return lz4.unpacked(block, size)
+            return unpacked_lz4(block, size)
         raise ValueError(f"its compressor {self.packer!r} is not known")
 
     def _head(self, data: bytes, at: int, count: int, is_base64: bool, *, is_apart: bool = False):  # type: ignore[no-untyped-def]
@@ -183,3 +182,44 @@ def _open(path: Path) -> _File:
         raise ValueError(f"its root is {root.tag}")
     order = "<" if root.get("byte_order", "LittleEndian") == "LittleEndian" else ">"
     return _File(root, appended, is_base64, order, root.get("compressor", ""))
+
+
+def unpacked_lz4(block: bytes, size: int) -> bytes:
+    """The `size` bytes of a block of LZ4; a compiled package for it nothing else here needs.
+
+    Format: LZ4 Block Format Description (github.com/lz4/lz4, doc/lz4_Block_format.md).
+
+    Raises ValueError if it is damaged.
+
+    >>> unpacked_lz4(b"\\x23ab\\x02\\x00\\x10c", 10)
+    b'ababababac'
+    """
+    found, at = bytearray(), 0
+    while at < len(block):
+        token = block[at]
+        n_plain, at = _length(block, at + 1, token >> 4)
+        found += block[at : at + n_plain]
+        at += n_plain
+        if at >= len(block):
+            break
+        back = int.from_bytes(block[at : at + 2], "little")
+        n_copied, at = _length(block, at + 2, token & 15)
+        start = len(found) - back
+        if back == 0 or start < 0 or len(found) + n_copied + 4 > size:
+            raise ValueError("an LZ4 block is damaged")
+        piece = bytes(found[start : start + n_copied + 4])
+        found += (piece * (-(-(n_copied + 4) // len(piece))))[: n_copied + 4]
+    if len(found) != size:
+        raise ValueError(f"an LZ4 block has {len(found)} bytes instead of {size}")
+    return bytes(found)
+
+
+def _length(block: bytes, at: int, nibble: int) -> tuple[int, int]:
+    """A length that begins in four bits of the token, and the place behind it."""
+    length = nibble
+    while nibble == 15:
+        more = block[at] if at < len(block) else 0
+        length, at = length + more, at + 1
+        if more != 255:
+            break
+    return length, at

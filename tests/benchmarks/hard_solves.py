@@ -43,11 +43,12 @@ from limbcli.model.npz_file import load_model, save_model
 from limbcli.progress import SILENT
 from limbcli.site_model.indentation_model import (
     TISSUE,
+    fewer_steps,
     indentation_model,
+    softer_jumps,
     starting_depth,
     with_penalty,
 )
-from limbcli.site_model.model_simplification import fewer_steps, softer_jumps
 from limbcli.solvers.reference import prepare
 from tests.benchmarks.seeded_rows import made, succeeded
 

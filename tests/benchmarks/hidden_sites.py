@@ -21,8 +21,8 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.effects import effect
-from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.protocol import LoadingProtocol
+from limbcli.phantom.simulated_readings import write_readings
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.diagnose import DiagnoseOptions, diagnose
 from limbcli.stages.run import run

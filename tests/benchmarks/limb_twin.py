@@ -51,11 +51,11 @@ from limbcli.site_model.indentation_model import (
     starting_depth,
     with_penalty,
 )
-from limbcli.site_model.limb_under_probe import limb_forces
-from limbcli.site_model.mesh_study import StudiedTissue, full_depth, reference_force
+from limbcli.site_model.mesh_study import TissueLaw, full_depth, reference_force
 from limbcli.site_model.segmented_limb import named_surfaces, site_position
 from limbcli.site_model.site_layers import layer_laws, layers_in, with_layer_laws
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.limb_field.limb_force import limb_forces
 from limbcli.stages.limb_field.site_results import region_of_site
 from limbcli.stages.mesh import MeshRequest, mesh_options
 from tests.meshing.test_limb_twin import with_probe
@@ -166,7 +166,7 @@ def known_of(chain: Chain, site: str) -> StageResult | None:
     return diagnosis if diagnosis is not None and (diagnosis.data["added"] or fit is None) else fit
 
 
-def tissue_at(limb: LimbModel, region: Array) -> StudiedTissue:
+def tissue_at(limb: LimbModel, region: Array) -> TissueLaw:
     """The tissue of a limb's model in a region (n, 3), mm: means of logarithms over the nearest elements."""
     block = limb.mesh.block(TISSUE)
     near = cKDTree(cell_centroids(limb.mesh, block)).query(region)[1]
@@ -175,10 +175,10 @@ def tissue_at(limb: LimbModel, region: Array) -> StudiedTissue:
         float(np.exp(np.log(each.values[near]).mean())) if isinstance(each, ElementMap) else float(each)
         for each in (law["c1"], law["m1"], law["kappa"])
     )
-    return StudiedTissue(2.0 * c1, kappa / (2.0 * c1), m1, "field")
+    return TissueLaw(2.0 * c1, kappa / (2.0 * c1), m1, "field")
 
 
-def forces_of(model: LimbModel, depths: Array, tissue: StudiedTissue, penalty: float) -> Array:
+def forces_of(model: LimbModel, depths: Array, tissue: TissueLaw, penalty: float) -> Array:
     """Forces (n,) N at depths (n,) mm of a site's model."""
     plan = schedule(depths.tolist(), start=starting_depth(model, float(depths[0])))
     ready = indentation_model(model, plan, c=tissue.c, f_kappa=tissue.f_kappa, m=tissue.m)

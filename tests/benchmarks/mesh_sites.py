@@ -96,7 +96,7 @@ def one(limb: Limb, point: Array, axis: str, sizes: Sizes, *, solve: str | None 
     try:
         options = MeshOptions(sizes=sizes, element=solve or "tet10")
         found = site_model(limb, (point[0], point[1], point[2]), axis, PROBE, options)
-        result |= {"maker": found.maker, "notes": found.notes, **found.quality.to_json()}
+        result |= {"maker": found.maker, "notes": found.notes, **vars(found.quality)}
         result["thinnest_mm"] = found.checks.thinnest_under_probe_mm
         result["mesh_s"] = round(time.perf_counter() - start, 1)
         result["mesh_processor_s"] = round(_processor() - processor, 1)

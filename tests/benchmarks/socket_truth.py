@@ -32,8 +32,7 @@ from limbcli.sockets.alignment import misplaced
 from limbcli.sockets.donning import DonningOptions, don_and_load
 from limbcli.stages.in_socket.intervals import Pose, drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, put_together
-from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.stages.in_socket.patch_table import WHOLE, patch_masks, patch_rows
+from limbcli.stages.in_socket.patch_table import WHOLE, PatchPressure, patch_masks, patch_rows
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.limb_field.case_field import CaseField
 from limbcli.stages.limb_model.element_values import field_values, with_element_values

@@ -11,7 +11,7 @@ from typer.testing import CliRunner
 
 from limbcli.api.diagnosis import MEASURED
 from limbcli.cli.app import app, main
-from limbcli.cli.choices import effects
+from limbcli.cli.command import effect_names
 from limbcli.diagnosis.forward_model.measurement_menu import items
 from limbcli.effects import EFFECTS
 from limbcli.fitting.laws import LAWS
@@ -77,5 +77,5 @@ def test_another_value_is_refused_before_the_case_is_read(arguments: list[str], 
 def test_the_words_are_those_of_the_program():
     assert get_args(SolverName) == KINDS
     assert get_args(LawName) == tuple(LAWS)
-    assert effects("") == [each.name for each in EFFECTS]
+    assert effect_names("") == [each.name for each in EFFECTS]
     assert set(MEASURED) == {each.given for each in items() if each.given}

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from small_models import punch
 
-from limbcli.fem.contacts.contact_reach import near_nodes
+from limbcli.fem.contacts.contact import near_nodes
 from limbcli.fem.equilibrium import linearised as of_linearised
 from limbcli.fem.equilibrium.linearised import Linearised
 from limbcli.fem.equilibrium.newton import Newton

@@ -6,13 +6,12 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from limbcli.materials import compile_material, ogden_type, simd_laws, simd_rows
+from limbcli.materials import compile_material, ogden_type, simd, simd_laws
 from limbcli.materials.dispatch import workspace
 from limbcli.materials.energy import program_energy, program_energy_change
 from limbcli.materials.fiber import JUMP
 from limbcli.materials.simd import LANES
-from limbcli.materials.stress import _evaluate, second_piola_kirchhoff
-from limbcli.materials.tangent_change import tangent_change
+from limbcli.materials.stress import _evaluate, second_piola_kirchhoff, tangent_change
 from limbcli.model import Material
 
 UNIT = (0.0, 0.8, 0.6)
@@ -59,19 +58,19 @@ def evaluated(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """J (16,), S (16, 6), CC (16, 6, 6) of the vectors."""
     program = compile_material(material, "m").program(LANES, lambda name: 1.0)
-    w, place, six, square = simd_rows.simd_workspace()
+    w, place, six, square = simd.simd_workspace()
     rows = w.reshape(-1, LANES)
-    rows[simd_rows.F : simd_rows.F + 9] = F.reshape(LANES, 9).T
+    rows[simd.F : simd.F + 9] = F.reshape(LANES, 9).T
     if shift is not None:
-        rows[simd_rows.SHIFT] = shift
+        rows[simd.SHIFT] = shift
     numbers = np.arange(LANES) if len(program.par) > 1 else np.zeros(LANES, dtype=np.int64)
     simd_laws.measure(w)
     simd_laws.add_laws(w, program.ops, program.par, numbers, True, place, six, square, workspace())
     simd_laws.finish(w, True)
-    CC = rows[simd_rows.CC + simd_rows.UPPER]
+    CC = rows[simd.CC + simd.UPPER]
     return (
-        rows[simd_rows.J].copy(),
-        rows[simd_rows.S : simd_rows.S + 6].T.copy(),
+        rows[simd.J].copy(),
+        rows[simd.S : simd.S + 6].T.copy(),
         CC.transpose(2, 0, 1).copy(),
     )
 

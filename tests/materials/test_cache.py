@@ -37,7 +37,7 @@ def test_what_is_unchanged_stays(package: Path) -> None:
     "name",
     [
         "materials/ogden.py",
-        "materials/simd_rows.py",
+        "materials/simd.py",
         "fem/elements/kernels.py",
         "fem/linear_solvers/multifrontal/dense.py",
     ],

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from limbcli.errors import MeasurementError
+from limbcli.fitting.stiffness_map import stiffness_at
 from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.stiffness_map import stiffness_at
 
 
 def swe_map(speed=lambda x, z: 1.5 + 0.05 * z) -> SweMap:

@@ -16,8 +16,8 @@ from limbcli.meshing.whole_limb import LimbMeshOptions, limb_mesh
 from limbcli.model import Array, Domain, LimbModel, Mesh
 from limbcli.model.bodies import Drive, RigidBody
 from limbcli.site_model.indentation_model import indentation_model
-from limbcli.site_model.limb_under_probe import under_probe
 from limbcli.solvers.session import ReferenceSession
+from limbcli.stages.limb_field.limb_force import under_probe
 from tests.meshing.stump import quickly_meshed, stump
 
 START, DEPTH = 0.05, 2.0

@@ -7,14 +7,14 @@ from pathlib import Path
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from limbcli.meshing import study_picture
+from limbcli.meshing import mesh_picture
 from limbcli.meshing.mesh_extrapolation import Extrapolation
 
 
 def test_limit_and_title_are_on_the_picture(monkeypatch):
     kept: list[Figure] = []
-    monkeypatch.setattr(study_picture, "save_figure", lambda figure, *_, **__: kept.append(figure))
-    study_picture.study_picture(
+    monkeypatch.setattr(mesh_picture, "save_figure", lambda figure, *_, **__: kept.append(figure))
+    mesh_picture.study_picture(
         Path("a.png"), sizes=[(2.5, 10.0), (5.0, 6.0)], margins=[(40.0, 10.0)], used=(2.5, 40.0),
         extrapolation=Extrapolation(14.0, 1.0, True, (0.1, 0.2)), depth=8.0, title="a-long-name " * 40,
     )  # fmt: skip

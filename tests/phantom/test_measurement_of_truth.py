@@ -12,9 +12,8 @@ from limbcli.errors import SolveError
 from limbcli.measurement import indentation
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.phantom.case_folder import NoiseLaw
-from limbcli.phantom.measured_files import write_readings
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels, depth_at_force
-from limbcli.phantom.simulated_readings import levels_rows, measure
+from limbcli.phantom.simulated_readings import levels_rows, measure, write_readings
 
 PROTOCOL = LoadingProtocol(hold=2.0)
 

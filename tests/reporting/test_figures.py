@@ -30,7 +30,7 @@ from limbcli.reporting.figures.speed_maps import LevelMaps, chosen_levels, speed
 from limbcli.reporting.figures.style import plain_log
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, line_text, wave_speed
 from limbcli.reporting.fit_view import EstimateView
-from limbcli.stages.report_pages.index import StudyRow, study_figure
+from limbcli.stages.report_pages.index import study_figure
 
 DEPTH = np.linspace(0, 10, 11)
 MEASURED = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1)
@@ -227,7 +227,7 @@ def test_tables_beside_figures_name_every_curve():
     measured = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1, unloading=back)
     loops = [Loop(k, (DEPTH, DEPTH), (DEPTH[::-1], DEPTH), 3.0, 1.0, 0.1) for k in (1, 2)]
     known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, flag="fixed")
-    rows = [StudyRow("A p1", {"c": known}), StudyRow("B p1", {"c": replace(known, high=None, flag="weak")})]
+    rows = [("A p1", {"c": known}), ("B p1", {"c": replace(known, high=None, flag="weak")})]
     middle = {"beyond_family": None, "geometric_mean": 2.0, "spread_factor": 1.2, "low": 1.8, "high": 2.2}
     names = ("c_muscle_kpa", "c_fat_kpa", "m")
     person = {"location": "thigh", **{f"{k}{end}": 2.0 for k in names for end in ("", "_low", "_high")}}
@@ -266,7 +266,7 @@ def test_cycles_and_sites_of_a_cohort_can_be_told_apart():
 def test_long_names_leave_room_for_the_parameters_of_a_study():
     names = [f"Patient-mit-sehr-langem-Namen-{k} (Ordner {k}) medial proximal" for k in range(12)]
     known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, flag="fixed")
-    figure = drawn(study_figure([StudyRow(name, {"c": known}) for name in names]))
+    figure = drawn(study_figure([(name, {"c": known}) for name in names]))
     assert all(axes.bbox.width > 0.2 * figure.bbox.width for axes in figure.axes)
     labels = [each.get_window_extent() for each in figure.axes[0].get_yticklabels()]
     assert all(not one.overlaps(other) for one, other in pairwise(labels))

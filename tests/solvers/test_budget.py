@@ -8,9 +8,8 @@ import numpy as np
 import pytest
 
 from limbcli.progress import Progress
-from limbcli.solvers.budget import Budget, BudgetSpent
 from limbcli.solvers.session import ReferenceSession
-from limbcli.solvers.session_options import StartFrom, StopWhen
+from limbcli.solvers.session_options import Budget, BudgetSpent, StartFrom, StopWhen
 from tests.fem.small_models import punch
 
 AFRESH = StartFrom(independent=True)

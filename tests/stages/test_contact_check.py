@@ -13,8 +13,7 @@ from limbcli.fitting.force_curves import FIBRE_BAND, LawCurve
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.model_checks import write_contact_check
 from limbcli.progress import SILENT, Progress
-from limbcli.site_model.indentation_model import TISSUE, indentation_model, with_penalty
-from limbcli.site_model.model_simplification import softer_jumps
+from limbcli.site_model.indentation_model import TISSUE, indentation_model, softer_jumps, with_penalty
 from limbcli.solvers.session import ReferenceSession
 from tests.stages import block_case as block
 

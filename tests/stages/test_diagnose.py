@@ -22,7 +22,7 @@ from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
 from limbcli.provenance.remaking_command import CommandStep
 from limbcli.results import StageResult, open_stage
-from limbcli.site_model.mesh_study import StudiedTissue
+from limbcli.site_model.mesh_study import TissueLaw
 from limbcli.stages.diagnose import DiagnoseOptions, _Diagnosed, chosen_effects, diagnose
 from limbcli.stages.limb_field.site_force import force_reading
 from tests.benchmarks.limb_twin import forces_of
@@ -161,7 +161,7 @@ def test_a_force_offset_on_the_block(tmp_path, rng):
         values["m"],
         1.3 * values["m"],
     ):  # of a contact without penetration, which falls as 1/penalty^0.8
-        soft, hard = (forces_of(model, depths, StudiedTissue(c, 100.0, m), each) for each in (20.0, 80.0))
+        soft, hard = (forces_of(model, depths, TissueLaw(c, 100.0, m), each) for each in (20.0, 80.0))
         given = np.exp(tissue_force.predict(np.log([c, m, 100.0]))[0])
         np.testing.assert_allclose(given, hard + 0.5 * (hard - soft), rtol=0.03)
     assert tissue_force.ratio(np.log([c, values["m"], 400.0])) == pytest.approx(

@@ -22,8 +22,8 @@ from limbcli.errors import SolveError
 from limbcli.feb.settings import robust_step, schedule
 from limbcli.fem.equilibrium.solve_times import step_times
 from limbcli.progress import SILENT, Progress
-from limbcli.site_model.model_simplification import fewer_steps
-from limbcli.solvers.budget import Budget, BudgetSpent
+from limbcli.site_model.indentation_model import fewer_steps
+from limbcli.solvers.session_options import Budget, BudgetSpent
 from tests.stages import block_case
 
 ALONE = Solving(threads=1)

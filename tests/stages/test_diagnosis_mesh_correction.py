@@ -26,8 +26,8 @@ from limbcli.model.npz_file import save_model
 from limbcli.progress import SILENT
 from limbcli.results import open_stage
 from limbcli.site_model.site_layers import LayerLaw, with_layer_laws
-from limbcli.solvers.budget import BudgetSpent
 from limbcli.solvers.session import ReferenceSession
+from limbcli.solvers.session_options import BudgetSpent
 from limbcli.stages.build_feb import TissueOptions, build_feb
 from limbcli.stages.run import run
 from tests.stages import block_case as block

@@ -23,8 +23,7 @@ from limbcli.model.npz_file import save_model
 from limbcli.results import StageResult, open_stage
 from limbcli.shear_waves.any_law import acoustic_tensor
 from limbcli.shear_waves.from_simulation import AT_REST, level_maps
-from limbcli.site_model.indentation_model import TISSUE, indentation_model
-from limbcli.site_model.model_simplification import softer_jumps
+from limbcli.site_model.indentation_model import TISSUE, indentation_model, softer_jumps
 from limbcli.solvers.session import ReferenceSession
 from limbcli.stages.build_feb import build_feb
 from limbcli.stages.fit import FitOptions, check_choice

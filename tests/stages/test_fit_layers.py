@@ -15,7 +15,7 @@ from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.layer_comparison import PredictedLayers, layers_figure
 from limbcli.measurement.levels import Levels
-from limbcli.reporting.sections.layer_deformation import layers
+from limbcli.reporting.sections.deformation import layers
 from limbcli.results import open_stage
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.solvers.material_lines import material_lines

@@ -16,14 +16,14 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.results import open_stage, read_result
 from limbcli.site_model import mesh_study
-from limbcli.site_model.mesh_inputs import MeshInputs
 from limbcli.site_model.mesh_study import (
-    StudiedTissue,
+    TissueLaw,
     full_depth,
     reference_force,
     studied_tissue,
     study_site,
 )
+from limbcli.site_model.segmented_limb import MeshInputs
 
 CASE = """format = 1
 [subject]
@@ -96,11 +96,11 @@ def test_error_of_a_known_law_is_found(case, tmp_path, monkeypatch):
 def test_a_site_that_was_fitted_is_studied_with_its_own_tissue(case, tmp_path):
     out = tmp_path / "out"
     with open_stage(out, "mesh-study", subject="S1", site="p1") as writer:
-        assert studied_tissue(case.sites[0], out, writer) == StudiedTissue()
+        assert studied_tissue(case.sites[0], out, writer) == TissueLaw()
     with open_stage(out, "fit", subject="S1", site="p1") as fitted:
         fitted.data.update(c_kpa=5.0, f_kappa=1.3, m=4.0)
     with open_stage(out, "mesh-study", subject="S1", site="p1") as writer:
-        assert studied_tissue(case.sites[0], out, writer) == StudiedTissue(0.005, 1.3, 4.0, "fit")
+        assert studied_tissue(case.sites[0], out, writer) == TissueLaw(0.005, 1.3, 4.0, "fit")
 
 
 def test_depth_is_that_of_the_deepest_level(case):

@@ -36,9 +36,8 @@ from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.unloaded_state import states
 from limbcli.results import open_stage, read_result, sealed
-from limbcli.stages.batching.outcome import keep_error
+from limbcli.stages.batching.outcome import keep_error, report_failure
 from limbcli.stages.report import report
-from limbcli.stages.report_pages.failure import report_failure
 from limbcli.stages.report_pages.material import gather
 from limbcli.version import __version__
 from tests.stages import test_report_state

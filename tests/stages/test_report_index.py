@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 from limbcli.cli.app import app
 from limbcli.errors import CaseError
 from limbcli.results import open_stage, read_result, sealed
-from limbcli.stages.report_pages.failure import report_failure
+from limbcli.stages.batching.outcome import report_failure
 from limbcli.stages.report_pages.index import report_index
 
 pytestmark = pytest.mark.slow

@@ -27,8 +27,7 @@ from limbcli.provenance.staleness import Chain
 from limbcli.results import read_result
 from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import put_together
-from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.stages.in_socket.patch_table import WHOLE
+from limbcli.stages.in_socket.patch_table import WHOLE, PatchPressure
 from limbcli.stages.limb import LimbOptions, limb
 from limbcli.stages.segment import segment
 from limbcli.stages.socket import SocketOptions, for_febio_to_solve, socket

@@ -11,11 +11,11 @@ import pytest
 from limbcli.errors import CaseError, MeshError
 from limbcli.imaging.surface import read_surface
 from limbcli.meshing.surfaces import read_surface as read_mesh_surface
-from limbcli.surface_formats import lz4
 from limbcli.surface_formats.colours import has_colours
 from limbcli.surface_formats.polygons import from_cells
 from limbcli.surface_formats.stated_frame import stated_frame
 from limbcli.surface_formats.triangle_files import SUFFIXES
+from limbcli.surface_formats.vtk_xml import unpacked_lz4
 
 # Written by VTK 9.7.2: a box from (0, 0, 0) to (20, 10, 30) with normals, colours and the field SPACE = RAS
 WRITTEN_BY_VTK = sorted((Path(__file__).parents[1] / "data" / "vtk").glob("*.vt*"))
@@ -160,7 +160,7 @@ def test_a_quadratic_triangle_and_quadrilateral_keep_their_area():
 @pytest.mark.parametrize("block", [b"\x40RA", b"\x13a\x05\x00", b"\x13a\x00\x00", b"\xf0\xff\xff"])
 def test_a_damaged_lz4_block_is_refused(block):
     with pytest.raises(ValueError, match="LZ4"):
-        lz4.unpacked(block, 4)
+        unpacked_lz4(block, 4)
 
 
 @pytest.mark.parametrize(
@@ -212,4 +212,4 @@ def test_an_lz4_block_that_copies_without_end_is_refused_before_it_does():
     """Each byte of 255 adds as many to what is copied: 20 kB stand for 5 MB."""
     block = b"\x1fa\x01\x00" + b"\xff" * 20_000 + b"\x00"
     with pytest.raises(ValueError, match="damaged"):
-        lz4.unpacked(block, 100)
+        unpacked_lz4(block, 100)

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 import numpy as np
 
 from limbcli.errors import LimbError, SolveError
-from limbcli.solvers.budget import Budget
+from limbcli.solvers.session_options import Budget
 
 if TYPE_CHECKING:
     from limbcli.diagnosis.curves.site_simulations import SiteSimulations

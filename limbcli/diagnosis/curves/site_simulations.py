@@ -126,8 +126,6 @@ class NodeTable:
 class SiteSimulations:
     """Curves of one site on one working mesh.
 
-    Parameters
-    ----------
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
     reach : how far to simulate. Where the solver stops short of the depth needed, but beyond enough of it,
         curves are extrapolated along those of a stiffer law, or of the model without effects
@@ -196,10 +194,7 @@ class SiteSimulations:
     def curves(self, m: float, ingredients: Ingredients = ()) -> Curves:
         """The curves with exponent m and these effects (at their parameter values) in the model.
 
-        Raises
-        ------
-        SolveError
-            If the simulation fails; the failure is cached too.
+        Raises SolveError if the simulation fails; the failure is cached too.
         """
         key = self.models.key(m, ingredients)
         if key not in self._known:
@@ -230,10 +225,7 @@ class SiteSimulations:
         Evaluated at the deformation solved without them, so that no simulation is needed. The change of force
         at depth 0 is set to that of the first level.
 
-        Raises
-        ------
-        SolveError
-            If the force at fixed deformation changes by more than `_MOST_CHANGE` times.
+        Raises SolveError if the force at fixed deformation changes by more than `_MOST_CHANGE` times.
         """
         kinematics, of_law, density = self.kinematics(m), laws(ingredients), self.table.density_kg_per_m3
         if m not in self._unchanged:

@@ -29,11 +29,9 @@ from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import model_hash
 from limbcli.progress import Progress
 from limbcli.results import plain
-from limbcli.site_model.indentation_model import with_tissue
-from limbcli.site_model.model_simplification import fewer_steps, softer_jumps
-from limbcli.solvers.budget import Budget, BudgetSpent
+from limbcli.site_model.indentation_model import fewer_steps, softer_jumps, with_tissue
 from limbcli.solvers.session import ReferenceSession, SessionResult
-from limbcli.solvers.session_options import StartFrom, StopWhen
+from limbcli.solvers.session_options import Budget, BudgetSpent, StartFrom, StopWhen
 from limbcli.solvers.solve_folder import SolveFolder
 from limbcli.version import __version__
 
@@ -167,10 +165,7 @@ class SiteSolver:
     def solve(self, m: float, ingredients: Ingredients, depths: Sequence[float]) -> Solve:
         """Solve one model at some of the depths (mm).
 
-        Raises
-        ------
-        SolveError
-            If not enough depths are reached; `BudgetSpent` if that is because of the work.
+        Raises SolveError if not enough depths are reached; `BudgetSpent` if that is because of the work.
         """
         model = self.models.to_solve(m, ingredients, [self.times[depth] for depth in depths])
         n_full, n_required = (self.reach.down_to(depths, share=each) for each in (1.0, self.reach.enough))

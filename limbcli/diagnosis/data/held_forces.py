@@ -114,7 +114,10 @@ def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     steady = is_steady(steering, share=_DEPTH_SHARE if recorded else _RAMP_SHARE)
     if recorded:
         steady &= is_steady(force, share=_FORCE_SHARE)
-    read = _was_read(trace.time, time)
+    # interpolated values in a pause of the record are not a hold
+    after = np.clip(np.searchsorted(trace.time, time + 0.5 * STEP_S), 1, len(trace.time) - 1)
+    pause = max(_PAUSE_S, _PAUSE_SAMPLES * float(np.median(np.diff(trace.time))))
+    read = np.asarray(trace.time[after] - trace.time[after - 1] <= pause)
     holds = stretches(steady & read)
     if not holds:
         return None, f"the record has no hold of {_LEAST_HOLD_S:g} s"
@@ -160,13 +163,6 @@ def _binned(at: Array, values: Array, grid: Array) -> Array:
     total = np.bincount(index[known], weights=values[known], minlength=len(grid))
     there = count > 0
     return np.interp(np.arange(len(grid)), np.flatnonzero(there), total[there] / count[there])
-
-
-def _was_read(at: Array, grid: Array) -> NDArray[np.bool_]:
-    """Where the grid (n,) is outside pauses of the record: interpolated values are not a hold."""
-    after = np.clip(np.searchsorted(at, grid + 0.5 * STEP_S), 1, len(at) - 1)
-    pause = max(_PAUSE_S, _PAUSE_SAMPLES * float(np.median(np.diff(at))))
-    return np.asarray(at[after] - at[after - 1] <= pause)
 
 
 def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels, n: int) -> Array | None:

@@ -131,17 +131,14 @@ class Windows:
         window = Window(smoothing=self.smoothing, elevation=self.elevation, pixel=_PART_MM / _SUBDIVIDED)
         averages = pixel_averages(places, self.pixels, face_height=-depth, window=window)
         at, F = averages(rest), averages(gradient.reshape(-1, 9)).reshape(-1, 3, 3)
-        offsets, weight = self._blur()
+        # one pixel averages 27 quadrature points
+        sigma = self.smoothing / 2.355
+        offsets = np.array(list(product(_BLUR, _SLICE, _BLUR))) * (sigma, self.elevation, sigma)
+        weight = np.prod(list(product(_BLUR_WEIGHT, _SLICE_WEIGHT, _BLUR_WEIGHT)), axis=1)
         F = np.where(np.asarray(np.isfinite(F).all(axis=(1, 2)))[:, None, None], F, np.eye(3))
         back = np.linalg.solve(F, np.broadcast_to(offsets.T, (len(F), 3, len(offsets))))
         blurred = np.nan_to_num(at)[:, None, :] + np.swapaxes(back, 1, 2)
         return ScannerView(averages, Places(blurred, model), weight, self.log_means_of)
-
-    def _blur(self) -> tuple[Array, Array]:
-        """Offsets (27, 3) in mm and weights (27,) of the quadrature points that one pixel averages."""
-        sigma = self.smoothing / 2.355
-        offsets = np.array(list(product(_BLUR, _SLICE, _BLUR))) * (sigma, self.elevation, sigma)
-        return offsets, np.prod(list(product(_BLUR_WEIGHT, _SLICE_WEIGHT, _BLUR_WEIGHT)), axis=1)
 
     def log_means_of(self, speed_m_per_s: Array) -> Array:
         """ln of the mean speed of the whole and of every part (..., 1 + n_parts), from speeds at `pixels`
@@ -181,16 +178,6 @@ class Windows:
         inside = (column >= 0) & (column < self.across) & (row >= 0) & (row < self.down)
         return np.asarray(np.where(inside, row * self.across + column, -1))
 
-    def _most(self, swe: SweMap, counts: IntArray) -> Array:
-        """Number of pixels (n_parts,) of each part if none is missing, which varies on a coarse grid.
-
-        counts (n_parts,) : pixels present. The pixel grid is continued where nothing was read: rows that end
-        in bone count as missing.
-        """
-        across = _grid_per_part(swe.lateral, self.left, self.right, self.across)
-        down = _grid_per_part(swe.depth, self.top, self.bottom, self.down)
-        return np.minimum(np.outer(down, across).ravel(), counts.max(initial=0))
-
     def log_means(self, swe: SweMap) -> tuple[Array, Array]:
         """ln of the mean speed and the pixel count of the whole and every part: (1 + n_parts,) each.
 
@@ -200,7 +187,12 @@ class Windows:
         inside = part >= 0
         counts = np.bincount(part[inside], minlength=self.n_parts)
         total = np.bincount(part[inside], swe.speed_m_per_s[inside], minlength=self.n_parts)
-        enough = counts >= np.maximum(_SHARE_READ * self._most(swe, counts), 1)
+        # pixels of each part if none is missing, which varies on a coarse grid; the grid is continued where
+        # nothing was read: rows that end in bone count as missing
+        across = _grid_per_part(swe.lateral, self.left, self.right, self.across)
+        down = _grid_per_part(swe.depth, self.top, self.bottom, self.down)
+        most = np.minimum(np.outer(down, across).ravel(), counts.max(initial=0))
+        enough = counts >= np.maximum(_SHARE_READ * most, 1)
         means = np.where(enough, np.log(np.maximum(total, 1e-9) / np.maximum(counts, 1)), np.nan)
         whole = np.log(swe.speed_m_per_s[inside].mean()) if inside.any() else np.nan
         return np.r_[whole, means], np.r_[inside.sum(), counts]

@@ -64,8 +64,6 @@ def blind_spot(
     name: str, added: Added, typical: Array, nothing: Posterior, whiten: Whitener, *, ln_factor: float
 ) -> BlindSpot:
     """
-    Parameters
-    ----------
     added : the effect at one point of its grid; typical : (q,) distance from the null value
     nothing : the fit without effects; whiten : as that of `added`
     ln_factor : Bayes factor at which the model is no longer adequate

@@ -98,8 +98,6 @@ class Direction:
 class Priors:
     """Priors of all fitted parameters, about the values that were fitted.
 
-    Parameters
-    ----------
     precision : (p,) reciprocal variance. Of a uniform prior, that of the normal distribution with the same
     height
         in its middle: a parameter that the data do not determine then neither gains nor loses probability.

@@ -85,10 +85,7 @@ class Changes:
     def of(self, effect: Effect, point: Theta) -> Change:
         """Change by an effect at one point of its grid.
 
-        Raises
-        ------
-        SolveError
-            If a simulation fails, or the law has no solution near the effect's start value.
+        Raises SolveError if a simulation fails, or the law has no solution near the effect's start value.
         """
         point = effect.without_onset(point)
         key = (effect.name, point_name(point))

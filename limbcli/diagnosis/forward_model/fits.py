@@ -51,10 +51,7 @@ class Fits:
         start : initial sizes as distances from null, and grid values; besides : further initial guesses, as x
         of `predict`
 
-        Raises
-        ------
-        SolveError, FitError
-            If no initial guess has a solution; if the prediction is not finite.
+        Raises SolveError or FitError if no initial guess has a solution; if the prediction is not finite.
         """
         predict = self.predictions
         slots, (low, high) = predict.slots(model.explanation), predict.bounds(model.explanation)

@@ -83,10 +83,7 @@ def items() -> tuple[Item, ...]:
 def known(given: Mapping[str, float]) -> list[ExtraMeasurement]:
     """Additionally measured numbers (`--measured`) as data.
 
-    Raises
-    ------
-    CaseError
-        If a key is not on the menu, or a ratio is not above 0.
+    Raises CaseError if a key is not on the menu, or a ratio is not above 0.
     """
     by_key = {item.given: item for item in items() if item.given}
     found = []

@@ -154,10 +154,7 @@ class Predictions:
     def predict(self, x: Array, model: AtPoints = NOTHING) -> Array:
         """Prediction (n,) for x: ln c, ln m, then the effects' parameters in order.
 
-        Raises
-        ------
-        SolveError
-            If there is no solution, or it is not finite.
+        Raises SolveError if there is no solution, or it is not finite.
         """
         c, m, thetas = self.values_of(x, model.explanation)
         parts = [each.predict(c, m, model, theta) for each, theta in zip(self.sites, thetas, strict=True)]
@@ -206,10 +203,7 @@ class Predictions:
 
     def check_channels(self, explanation: Explanation) -> None:
         """
-        Raises
-        ------
-        FitError, SolveError
-            If an effect requires data that were not measured, a bone, or FEBio.
+        Raises FitError or SolveError if an effect requires data that were not measured, a bone, or FEBio.
         """
         has = self.channels | ({"bone"} if all(each.thickness > 0 for each in self.sites) else set())
         for name in explanation:

@@ -117,10 +117,8 @@ def own_curves(
     size_ratio : edge length of the own mesh over that of the working mesh. The effect of a penalty depends on
     the facet size, so that scaling the penalty by this ratio gives both meshes the same contact.
 
-    Raises
-    ------
-    SolveError
-        If the solver does not reach the required depth with the first m, or exceeds the work limit.
+    Raises SolveError if the solver does not reach the required depth with the first m, or exceeds the work
+    limit.
     """
     # of half as many, the longer steps take as much work
     depths = [depth for depth in simulations.depths[1:] if depth <= simulations.needed + 1e-9]
@@ -151,11 +149,8 @@ def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
 
     The forces are scaled to the stiffness c (MPa); levels no deeper than the previous one are left out.
 
-    Raises
-    ------
-    CaseError
-        If there is no run, it has fewer than two depths with a force, it was made with other start values, or
-        it has layers in addition to the tissue.
+    Raises CaseError if there is no run, it has fewer than two depths with a force, it was made with other
+    start values, or it has layers in addition to the tissue.
     """
     ran = read_result(out, "run", site=site.name)
     if layers := own_layers(site, out):

@@ -255,9 +255,15 @@ class NumericalChecks:
         """What is known of how far the models of this site are off, for the noise of its data."""
         thickness = self.curves.thickness if self.has_bone else USUAL_THICKNESS
         keep = known_levels(self.levels)
+        # derivative (n, 1 + n_parts) of ln speeds with depth, in 1/mm; where a part is not shown, that at the
+        # depths next to it
+        shown, rise = np.isfinite(self.curves.log_speed), np.full(self.curves.log_speed.shape, np.nan)
+        for k in np.flatnonzero(shown.sum(axis=0) >= 2).tolist():
+            here = shown[:, k]
+            rise[here, k] = np.gradient(self.curves.log_speed[here, k], self.curves.depth[here])
         return KnownErrors(
             errors=self._errors(correction, interventions, thickness), map_share=correction.map_share,
-            map_slopes=at_depths(self.depth[keep], self.curves, _rise(self.curves)[:, 1:]),
+            map_slopes=at_depths(self.depth[keep], self.curves, gaps_filled(rise)[:, 1:]),
             thickness=thickness, bone_as_shown=bool(self.case.imaging.assumed),
         )  # fmt: skip
 
@@ -330,16 +336,6 @@ def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
         f"numerical uncertainty is a large part of the force here ({parts}): interpret the verdict with "
         "caution, and measure where there is more tissue over the bone"
     )
-
-
-def _rise(curves: Curves) -> Array:
-    """Derivative (n, 1 + n_parts) of ln speeds with depth, in 1/mm; where a part is not shown, that at the
-    depths next to it."""
-    shown, rise = np.isfinite(curves.log_speed), np.full(curves.log_speed.shape, np.nan)
-    for k in np.flatnonzero(shown.sum(axis=0) >= 2).tolist():
-        here = shown[:, k]
-        rise[here, k] = np.gradient(curves.log_speed[here, k], curves.depth[here])
-    return gaps_filled(rise)
 
 
 def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:

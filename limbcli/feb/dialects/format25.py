@@ -60,7 +60,13 @@ def _steps(root: Tag) -> None:
 def _geometry(geometry: etree._Element, root: Tag) -> None:
     """<Geometry> becomes <Mesh>, and the materials of its parts <MeshDomains>."""
     geometry.tag = "Mesh"
-    _refuse_own_numbers(geometry, root)
+    # surfaces of format 2.5 list nodes by their place in the file, elements by id: both must be the same
+    ids = [each.get("id") for each in geometry.iterfind("Nodes/node")]
+    if ids != [str(k) for k in range(1, len(ids) + 1)]:
+        raise root.of(geometry).problem(
+            "in format 2.5 nodes that are not numbered 1, 2, 3, ... cannot be told apart",
+            fix="save the model in FEBio's format 4.0 (FEBio Studio: export)",
+        )
     domains = new("MeshDomains", geometry)
     root.element.insert(root.element.index(geometry) + 1, domains)
     names = {each.get("id"): each.get("name") for each in root.element.iterfind("Material/material")}
@@ -78,16 +84,6 @@ def _geometry(geometry: etree._Element, root: Tag) -> None:
             for side in pair.findall(old):
                 side.text = taken(side, "surface") or side.text
                 side.tag = now
-
-
-def _refuse_own_numbers(geometry: etree._Element, root: Tag) -> None:
-    """Surfaces of format 2.5 list nodes by their place in the file, elements by id: both must be the same."""
-    ids = [each.get("id") for each in geometry.iterfind("Nodes/node")]
-    if ids != [str(k) for k in range(1, len(ids) + 1)]:
-        raise root.of(geometry).problem(
-            "in format 2.5 nodes that are not numbered 1, 2, 3, ... cannot be told apart",
-            fix="save the model in FEBio's format 4.0 (FEBio Studio: export)",
-        )
 
 
 def _node_list(tag: etree._Element) -> None:

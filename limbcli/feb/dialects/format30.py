@@ -39,7 +39,13 @@ def to_format_40(root: Tag) -> None:
         for control in owner.iterfind("Control"):
             _control(control, root)
         for each in list(owner.iterfind("Boundary/bc")):
-            _condition(each, root)
+            kind = each.get("type")
+            if kind == "fix":
+                _fixed(each, root)
+            elif kind == "prescribe" and (each.findtext("dof") or "").strip() in ("x", "y", "z"):
+                each.set("type", "prescribed displacement")
+                for scale in each.findall("scale"):
+                    scale.tag = "value"
         for each in list(owner.iterfind("Rigid/rigid_constraint")):
             _rigid(each)
 
@@ -80,16 +86,6 @@ def _quasi_newton(solver: etree._Element) -> None:
     for each in loose:
         each.tag = _OF_QUASI_NEWTON[str(each.tag)]
         method.append(each)
-
-
-def _condition(tag: etree._Element, root: Tag) -> None:
-    kind = tag.get("type")
-    if kind == "fix":
-        _fixed(tag, root)
-    elif kind == "prescribe" and (tag.findtext("dof") or "").strip() in ("x", "y", "z"):
-        tag.set("type", "prescribed displacement")
-        for scale in tag.findall("scale"):
-            scale.tag = "value"
 
 
 def _fixed(tag: etree._Element, root: Tag) -> None:

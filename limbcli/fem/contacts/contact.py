@@ -14,7 +14,7 @@ from limbcli.fem.elements.element import shape
 from limbcli.fem.elements.groups import Group
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.motion.rigid import Body
-from limbcli.model import IntArray, LimbModel, Surface
+from limbcli.model import Array, IntArray, LimbModel, Surface
 from limbcli.model.bodies import Contact
 
 _CORNERS = {"tri3": 3, "tri6": 3, "quad4": 4}
@@ -155,3 +155,26 @@ def _cells_behind(corners: IntArray, groups: Sequence[Group], contact: Contact) 
             fix="the primary surface must be faces of the tissue's cells",
         )
     return group, cell
+
+
+def near_nodes(X: Array, rigid: IntArray, soft: IntArray, normals: Array) -> IntArray:
+    """Nodes of the facets `soft` whose centroid lies under the facets `rigid`, seen along the mean normal.
+
+    "Under" means inside their bounding rectangle along their principal axes; a larger root front costs more
+    than it gains. This only sizes the front; contact itself is searched on all facets.
+
+    X (n_points, 3) : reference positions
+    rigid (n, 4) : nodes; the last is -1 in a triangle
+    """
+    if not len(rigid) or not len(soft):
+        return np.zeros(0, dtype=np.int64)
+    mean = normals.mean(axis=0)
+    mean /= max(float(np.linalg.norm(mean)), 1e-12)
+    flat = np.eye(3) - np.outer(mean, mean)
+    outline = X[np.unique(rigid[rigid >= 0])] @ flat
+    middle = outline.mean(axis=0)
+    axes = np.linalg.svd(outline - middle, full_matrices=False)[2][:2]
+    along = (outline - middle) @ axes.T
+    at = (X[soft[:, :3]].mean(axis=1) @ flat - middle) @ axes.T
+    inside = ((at >= along.min(axis=0)) & (at <= along.max(axis=0))).all(axis=1)
+    return np.unique(soft[inside])

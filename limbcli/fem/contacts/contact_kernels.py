@@ -21,11 +21,11 @@ from limbcli.fem.contacts.contact_points import (
     SLIDE,
     TRACTION,
     WEIGHT,
-    facet_point,
     facet_shape,
+    gap_change,
+    interpolate,
     natural_change,
     normal_change,
-    point_change,
     point_geometry,
     push,
     spread,
@@ -62,17 +62,6 @@ def scaled_force(facets, N, weights, state, deps, facets2, out):
 
 
 @njit
-def _gap_change(row, gap, nu, dr, dnu, slip):
-    """Change of the gap for changes dr of the point and dnu of its normal, and motion `slip` of the secondary
-    facet's material point."""
-    top, bottom = 0.0, 0.0
-    for i in range(3):
-        top += row[OTHER + i] * (dr[i] - gap * dnu[i] - slip[i])
-        bottom += row[OTHER + i] * nu[i]
-    return top / bottom
-
-
-@njit
 def times(x, facets, N, dN, weights, eps, state, turning, facets2, v, out):
     """Derivative of `force` along v (n_points, 3), of the nodes on both sides.
 
@@ -90,15 +79,15 @@ def times(x, facets, N, dN, weights, eps, state, turning, facets2, v, out):
                 continue
             t, gap = turning * row[TRACTION], turning * row[GAP]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
+            interpolate(v, facets[f], N[k], dN[k], dr, d1, d2)
             length = normal_change(g1, g2, n, d1, d2, dn, dnu)
             nodes2 = facets2[int(row[FACET])]
             n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
-            facet_point(x, nodes2, N2[:n2], dN2, q, xs, xt)
-            facet_point(v, nodes2, N2[:n2], dN2, slip, vs, vt)
+            interpolate(x, nodes2, N2[:n2], dN2, q, xs, xt)
+            interpolate(v, nodes2, N2[:n2], dN2, slip, vs, vt)
             for i in range(3):
                 nu[i] = n[i] / length
-            dg = _gap_change(row, gap, nu, dr, dnu, slip)
+            dg = gap_change(row, gap, nu, dr, dnu, slip)
             dt = row[WEIGHT] * eps[f] * dg
             for i in range(3):
                 move[i] = dr[i] - dg * nu[i] - gap * dnu[i] - slip[i]  # of the contact point along the facet

@@ -34,32 +34,24 @@ def cross(a, b, c):
 
 
 @njit
-def point_geometry(x, nodes, N, dN, r, g1, g2, n):
-    """Position, tangents and area vector at one integration point."""
+def interpolate(x, nodes, N, dN, r, g1, g2):
+    """Value of x (n_points, 3) at a point of a facet, and its derivatives along both natural coordinates."""
     r[:] = 0.0
     g1[:] = 0.0
     g2[:] = 0.0
-    for a in range(nodes.shape[0]):
+    for a in range(N.shape[0]):
         for i in range(3):
             value = x[nodes[a], i]
             r[i] += N[a] * value
             g1[i] += dN[a, 0] * value
             g2[i] += dN[a, 1] * value
-    cross(g1, g2, n)
 
 
 @njit
-def point_change(v, nodes, N, dN, dr, d1, d2):
-    """Change of position and tangents at one integration point, for velocities v (n_points, 3)."""
-    dr[:] = 0.0
-    d1[:] = 0.0
-    d2[:] = 0.0
-    for a in range(nodes.shape[0]):
-        for i in range(3):
-            value = v[nodes[a], i]
-            dr[i] += N[a] * value
-            d1[i] += dN[a, 0] * value
-            d2[i] += dN[a, 1] * value
+def point_geometry(x, nodes, N, dN, r, g1, g2, n):
+    """Position, tangents and area vector at one integration point."""
+    interpolate(x, nodes, N, dN, r, g1, g2)
+    cross(g1, g2, n)
 
 
 @njit
@@ -106,17 +98,14 @@ def facet_shape(nodes, s, t, N, dN):
 
 
 @njit
-def facet_point(x, nodes, N, dN, q, xs, xt):
-    """Position on a secondary facet and its derivatives along the natural coordinates, from `facet_shape`."""
-    q[:] = 0.0
-    xs[:] = 0.0
-    xt[:] = 0.0
-    for a in range(N.shape[0]):
-        for i in range(3):
-            value = x[nodes[a], i]
-            q[i] += N[a] * value
-            xs[i] += dN[a, 0] * value
-            xt[i] += dN[a, 1] * value
+def gap_change(row, gap, nu, dr, dnu, slip):
+    """Change of the gap for changes dr of the point and dnu of its normal, and motion `slip` of the secondary
+    facet's material point."""
+    top, bottom = 0.0, 0.0
+    for i in range(3):
+        top += row[OTHER + i] * (dr[i] - gap * dnu[i] - slip[i])
+        bottom += row[OTHER + i] * nu[i]
+    return top / bottom
 
 
 @njit

@@ -19,8 +19,8 @@ from limbcli.fem.contacts.contact_points import (
     TRACTION,
     WEIGHT,
     cross,
-    facet_point,
     facet_shape,
+    interpolate,
     point_geometry,
 )
 from limbcli.numbers.compiled import njit
@@ -95,12 +95,12 @@ def _hit_curved(x2, nodes, r, nu, tolerance, out):
     if not quad:
         s = t = 1.0 / 3.0
         n = facet_shape(nodes, s, t, N, dN)
-        facet_point(x2, nodes, N[:n], dN, q, xs, xt)
+        interpolate(x2, nodes, N[:n], dN, q, xs, xt)
         g = (r[0] - q[0]) * nu[0] + (r[1] - q[1]) * nu[1] + (r[2] - q[2]) * nu[2]
     ok = False
     for _ in range(12):
         n = facet_shape(nodes, s, t, N, dN)
-        facet_point(x2, nodes, N[:n], dN, q, xs, xt)
+        interpolate(x2, nodes, N[:n], dN, q, xs, xt)
         for i in range(3):
             q[i] += g * nu[i] - r[i]
         cross(xs, xt, m)

@@ -49,16 +49,15 @@ from limbcli.fem.contacts.contact_points import (
     MOST_NODES,
     NATURAL,
     NORMAL,
-    OTHER,
     SLIDE,
     TRACTION,
     WEIGHT,
     cross,
-    facet_point,
     facet_shape,
+    gap_change,
+    interpolate,
     natural_change,
     normal_change,
-    point_change,
     point_geometry,
     push,
     spread,
@@ -93,8 +92,8 @@ def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m):
     old, now, w = np.empty(3), np.empty(3), np.empty(3)
     N2, dN2, xs, xt = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty(3), np.empty(3)
     n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
-    facet_point(past, nodes2, N2[:n2], dN2, old, xs, xt)
-    facet_point(x, nodes2, N2[:n2], dN2, now, xs, xt)
+    interpolate(past, nodes2, N2[:n2], dN2, old, xs, xt)
+    interpolate(x, nodes2, N2[:n2], dN2, now, xs, xt)
     cross(before[TANGENTS : TANGENTS + 3], g2, m)
     cross(g1, before[TANGENTS + 3 : TANGENTS + 6], w)
     along = 0.0
@@ -171,20 +170,17 @@ def _change(
     for i in range(3):
         dsize += n[i] * dn[i] / size
     nu, move, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    top, bottom = 0.0, 0.0
     for i in range(3):
         nu[i] = n[i] / size
-        top += row[OTHER + i] * (dr[i] - row[GAP] * dnu[i] - slip[i])
-        bottom += row[OTHER + i] * nu[i]
-    dg = top / bottom
+    dg = gap_change(row, row[GAP], nu, dr, dnu, slip)
     for i in range(3):
         move[i] = dr[i] - dg * nu[i] - row[GAP] * dnu[i] - slip[i]  # of the contact point along the facet
     N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
     n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
     q, xs, xt = np.empty(3), np.empty(3), np.empty(3)
     old, olds, oldt = np.empty(3), np.empty(3), np.empty(3)
-    facet_point(x, nodes2, N2[:n2], dN2, q, xs, xt)
-    facet_point(past, nodes2, N2[:n2], dN2, old, olds, oldt)
+    interpolate(x, nodes2, N2[:n2], dN2, q, xs, xt)
+    interpolate(past, nodes2, N2[:n2], dN2, old, olds, oldt)
     ds, dt = natural_change(move, xs, xt)
     length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
     p, dp = row[TRACTION], row[WEIGHT] * eps * dg
@@ -238,9 +234,9 @@ def times(x, facets, N, dN, weights, eps, state, yields, facets2, v, out, mu, be
             nodes2 = facets2[int(row[FACET])]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             size = _slip(row, before[f, k], x, past, nodes2, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
-            point_change(v, facets[f], N[k], dN[k], dr, d1, d2)
+            interpolate(v, facets[f], N[k], dN[k], dr, d1, d2)
             n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
-            facet_point(v, nodes2, N2[:n2], dN2, slip, vs, vt)
+            interpolate(v, nodes2, N2[:n2], dN2, slip, vs, vt)
             ds, dt = _change(
                 row, before[f, k], x, past, nodes2, pull[f, k], eps[f], mu, yields, 1.0, r, g1, g2, n, y, c,
                 m, dr, d1, d2, slip, df,

@@ -16,10 +16,9 @@ import numpy as np
 
 from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.elements.groups import Group
-from limbcli.materials.program import CurveAt, Program
-from limbcli.materials.stress import _evaluate, penalty_modulus
-from limbcli.materials.tangent_change import tangent_change
-from limbcli.model import Array, IntArray
+from limbcli.materials.program import CurveAt
+from limbcli.materials.stress import penalty_modulus, tangent_change, tangents_at_rest
+from limbcli.model import Array
 from limbcli.model.bodies import Contact
 
 
@@ -36,7 +35,8 @@ def penalties(
             mine = patch.group == k
             if mine.any():
                 program = group.material.program(len(group.cells), curve)
-                E = _moduli(program, patch.cell[mine], patch.normals[mine]) * _stiffening(group, dt)
+                CC = tangents_at_rest(program, patch.cell[mine])
+                E = penalty_modulus(CC, patch.normals[mine]) * _stiffening(group, dt)
                 eps[mine] *= E * patch.ratio[mine]
     return eps
 
@@ -47,14 +47,6 @@ def _stiffening(group: Group, dt: float) -> float:
         return 1.0
     g0, terms = group.material.prony
     return g0 + sum(g * -np.expm1(-dt / t) * t / dt for g, t in terms)
-
-
-def _moduli(program: Program, cells: IntArray, normals: Array) -> Array:
-    par = program.par if len(program.par) == 1 else program.par[cells]
-    F = np.repeat(np.eye(3)[None], len(cells), axis=0)
-    S, CC = np.zeros((len(cells), 6)), np.zeros((len(cells), 6, 6))
-    _evaluate(F, program.ops, par, S, CC, True)
-    return penalty_modulus(CC, normals)
 
 
 def penalty_derivative(
@@ -73,7 +65,7 @@ def penalty_derivative(
         return out
     group, cells, n = groups[number], patch.cell[mine], patch.normals[mine]
     base = group.material.program(len(group.cells), curve)
-    C0 = _identity_tangent(base, cells)
+    C0 = tangents_at_rest(base, cells)
     par, dpar = (each if len(each) == 1 else each[cells] for each in (base.par, change))
     F = np.repeat(np.eye(3)[None], len(cells), axis=0)
     C1 = tangent_change(base.ops, par, F, np.zeros_like(F), dpar)
@@ -83,11 +75,3 @@ def penalty_derivative(
     total = (e[0] - 8 * e[1] + 8 * e[2] - e[3]) / (12 * size)
     out[mine] = contact.penalty * patch.ratio[mine] * total * _stiffening(group, dt)
     return out
-
-
-def _identity_tangent(program: Program, cells: IntArray) -> Array:
-    par = program.par if len(program.par) == 1 else program.par[cells]
-    F = np.repeat(np.eye(3)[None], len(cells), axis=0)
-    S, CC = np.zeros((len(cells), 6)), np.zeros((len(cells), 6, 6))
-    _evaluate(F, program.ops, par, S, CC, True)
-    return CC

@@ -41,18 +41,26 @@ def record_derivatives(
 ) -> tuple[IntArray, Array]:
     """Item numbers (from 0) and d(field)/d(theta) (n_items, n_fields) of one record at a converged state.
 
-    Raises
-    ------
-    SolveError
-        If the record has an unsupported field.
+    Raises SolveError if the record has an unsupported field.
     """
     check_record(record)
     if record.kind == "rigid_body":
         b = [body.name for body in system.bodies].index(str(record.items))
-        values = body_field_derivatives(system, state, b, record.fields, parameter, sensitivity)
-        return np.array([b], dtype=np.int64), values[None]
+        shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
+        if isinstance(parameter, BodyMotion) and parameter.body == system.bodies[b].name:
+            shift = shift + np.asarray(parameter.motion[:3])
+        turn = _vector_change(state.bodies[b].rotation, spin)
+        values = np.concatenate([shift, turn, sensitivity.bodies[b]])
+        return np.array([b], dtype=np.int64), values[None, [BODY_FIELDS.index(n) for n in record.fields]]
     if record.kind == "node":
-        values = node_field_derivatives(system, state, record.fields, parameter, sensitivity)
+        reactions = np.zeros(0)
+        if {"Rx", "Ry", "Rz"} & set(record.fields):
+            reactions = reaction_changes(system, state, parameter, sensitivity)
+        moves, rest = _node_changes(system, state, parameter, sensitivity)
+        of = {"x": moves + rest, "u": moves, "R": reactions}
+        columns = [of[name[0] if name in NODE_FIELDS[3:] else "x"] for name in record.fields]
+        places = [NODE_FIELDS.index(name) % 3 for name in record.fields]
+        values = np.stack([c[:, k] for c, k in zip(columns, places, strict=True)], axis=1)
     else:
         values = np.zeros((sum(len(b.cells) for b in system.model.mesh.blocks), len(record.fields)))
         for k, name in enumerate(record.fields):
@@ -175,38 +183,6 @@ def _node_changes(
             rest[own] += parameter.motion[:3] + begin
             moves[own] += begin @ turn.T - begin
     return moves, rest
-
-
-def node_field_derivatives(
-    system: System, state: State, fields: tuple[str, ...], parameter: Parameter, sensitivity: Sensitivity
-) -> Array:
-    """d(field)/d(theta) (n_points, n_fields) of positions, displacements and reactions."""
-    reactions = np.zeros(0)
-    if {"Rx", "Ry", "Rz"} & set(fields):
-        reactions = reaction_changes(system, state, parameter, sensitivity)
-    moves, rest = _node_changes(system, state, parameter, sensitivity)
-    each = {"x": moves + rest, "u": moves, "R": reactions}
-    columns = [each[name[0] if name in NODE_FIELDS[3:] else "x"] for name in fields]
-    return np.stack(
-        [c[:, NODE_FIELDS.index(name) % 3] for c, name in zip(columns, fields, strict=True)], axis=1
-    )
-
-
-def body_field_derivatives(
-    system: System,
-    state: State,
-    b: int,
-    fields: tuple[str, ...],
-    parameter: Parameter,
-    sensitivity: Sensitivity,
-) -> Array:
-    """d(field)/d(theta) (n_fields,) of a body's centre, rotation vector, forces and moments."""
-    shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
-    if isinstance(parameter, BodyMotion) and parameter.body == system.bodies[b].name:
-        shift = shift + np.asarray(parameter.motion[:3])
-    turn = _vector_change(state.bodies[b].rotation, spin)
-    values = np.concatenate([shift, turn, sensitivity.bodies[b]])
-    return np.asarray(values[[BODY_FIELDS.index(name) for name in fields]])
 
 
 def _vector_change(vector: Array, spin: Array) -> Array:

@@ -33,7 +33,7 @@ from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.materials.energy import program_energy_change, stored
 from limbcli.materials.program import Compiled
-from limbcli.materials.tangent_change import tangent_change
+from limbcli.materials.stress import tangent_change
 from limbcli.materials.tensors import VOIGT
 from limbcli.model import Array
 

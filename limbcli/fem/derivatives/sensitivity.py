@@ -65,10 +65,7 @@ def sensitivities(
 ) -> list[Sensitivity]:
     """Derivatives of the response at a converged state with respect to each parameter.
 
-    Raises
-    ------
-    SolveError
-        If the response is path-dependent, or a linear system cannot be solved accurately.
+    Raises SolveError if the response is path-dependent, or a linear system cannot be solved accurately.
     """
     system = newton.system
     if any(pair.contact.friction for pair in system.pairs):

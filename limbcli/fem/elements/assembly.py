@@ -96,7 +96,14 @@ def make_pattern(equations: IntArray, cell_lists: Sequence[IntArray]) -> Pattern
     keys = np.concatenate([low * n_points + high for low, high, _ in codes] or [np.zeros(0, dtype=np.int64)])
     unique, inverse = np.unique(keys, return_inverse=True)
     low, high = unique // max(n_points, 1), unique % max(n_points, 1)
-    slots, indptr, indices = _slots(low, high, equations)
+    # slots of the blocks' entries, and the CSR pattern; equation numbers must ascend with node numbers
+    n = int(equations.max()) + 1 if equations.size else 0
+    slots = np.full((len(low), 3, 3), -1, dtype=np.int32)
+    indptr = np.zeros(n + 1, dtype=np.int64)
+    _count(low, high, equations, indptr)
+    np.cumsum(indptr, out=indptr)
+    indices = np.empty(indptr[-1], dtype=np.int64)
+    _place(low, high, equations, indptr[:-1].copy(), indices, slots)
     sources = np.empty(len(indices), dtype=np.int64)
     kept = np.flatnonzero(slots.ravel() >= 0)
     sources[slots.ravel()[kept]] = kept
@@ -117,20 +124,6 @@ def _pair_codes(cells: IntArray, n_points: int) -> tuple[IntArray, IntArray, Int
     b = np.concatenate([np.full(b + 1, b) for b in range(n)])
     first, second = cells[:, a].ravel(), cells[:, b].ravel()
     return np.minimum(first, second), np.maximum(first, second), (first > second).astype(np.int64)
-
-
-def _slots(
-    low: IntArray, high: IntArray, equations: IntArray
-) -> tuple[NDArray[np.int32], IntArray, IntArray]:
-    """Slots of the blocks' entries, and the CSR pattern; equation numbers must ascend with node numbers."""
-    n = int(equations.max()) + 1 if equations.size else 0
-    slots = np.full((len(low), 3, 3), -1, dtype=np.int32)
-    indptr = np.zeros(n + 1, dtype=np.int64)
-    _count(low, high, equations, indptr)
-    np.cumsum(indptr, out=indptr)
-    indices = np.empty(indptr[-1], dtype=np.int64)
-    _place(low, high, equations, indptr[:-1].copy(), indices, slots)
-    return slots, indptr, indices
 
 
 @njit

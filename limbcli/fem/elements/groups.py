@@ -16,7 +16,7 @@ from limbcli.materials import Compiled, Program, compile_material
 from limbcli.materials.laws import is_three_field
 from limbcli.materials.program import CurveAt, jumping
 from limbcli.materials.simd import LANES
-from limbcli.materials.stress import _evaluate
+from limbcli.materials.stress import tangents_at_rest
 from limbcli.model import Array, Block, Curved, Domain, IntArray, LimbModel
 
 _NO_HISTORY = np.zeros((0, 1, 6))
@@ -61,9 +61,7 @@ class Group:
     def _moduli(self, program: Program) -> tuple[Array, Array]:
         """Lame's lambda (pressure per volume change) and mu of the complete law at F = 1, (1 or n_cells,)."""
         if self._cache.get("lame_of") is not program:
-            F = np.repeat(np.eye(3)[None], len(program.par), axis=0)
-            S, CC = np.zeros((len(F), 6)), np.zeros((len(F), 6, 6))
-            _evaluate(F, program.ops, program.par, S, CC, True)
+            CC = tangents_at_rest(program)
             self._cache["lame"] = (CC[:, 0, 1] + CC[:, 1, 2] + CC[:, 0, 2]) / 3.0
             self._cache["shear"] = (CC[:, 3, 3] + CC[:, 4, 4] + CC[:, 5, 5]) / 3.0
             self._cache["lame_of"] = program
@@ -184,7 +182,16 @@ def _group(model: LimbModel, domain: Domain, block: Block, first: int) -> Group:
     compiled = compile_material(model.materials[domain.material], domain.material)
     points, weights = rule(_rule(domain, block))
     grad, weight = reference_gradients(model.mesh.points, block.cells, block.kind, (points, weights))
-    check_volumes(model, block, first, weight)
+    bad = np.flatnonzero((weight <= 0).any(axis=1) | ~np.isfinite(weight).all(axis=1))
+    if len(bad):
+        x, y, z = model.mesh.points[block.cells[bad[0]]].mean(axis=0)
+        name = f"element {model.mesh.cell_id(first + int(bad[0]))}"
+        raise MeshError(
+            f"{len(bad)} cells of block {block.name!r} are inverted or flat before any load",
+            where=f"{name}, near ({x:.1f}, {y:.1f}, {z:.1f}) mm",
+            fix="remesh, or turn the node order of these cells",
+            n_cells=len(bad),
+        )
     cells = np.ascontiguousarray(block.cells, dtype=np.int64)
     if weight.shape[1] > LANES or cells.shape[1] > WIDTH:  # the compiled loops would write out of bounds
         raise NotImplementedError(f"{block.kind} with {cells.shape[1]} nodes and {weight.shape[1]} points")
@@ -216,23 +223,6 @@ def _rule(domain: Domain, block: Block) -> str:
             fix=f"use one of {', '.join(known)}, or run FEBio",
         )
     return "TET10G4" if domain.rule == "TET10G4" else block.kind
-
-
-def check_volumes(model: LimbModel, block: Block, first: int, weight: Array) -> None:
-    """Raise MeshError if a cell has no positive volume in the reference configuration.
-
-    first : number of the block's first cell, counted over all blocks
-    """
-    bad = np.flatnonzero((weight <= 0).any(axis=1) | ~np.isfinite(weight).all(axis=1))
-    if len(bad):
-        x, y, z = model.mesh.points[block.cells[bad[0]]].mean(axis=0)
-        name = f"element {model.mesh.cell_id(first + int(bad[0]))}"
-        raise MeshError(
-            f"{len(bad)} cells of block {block.name!r} are inverted or flat before any load",
-            where=f"{name}, near ({x:.1f}, {y:.1f}, {z:.1f}) mm",
-            fix="remesh, or turn the node order of these cells",
-            n_cells=len(bad),
-        )
 
 
 Curves = Callable[[str], float]

@@ -10,9 +10,9 @@ import numpy as np
 
 from limbcli.materials import simd_laws as lanes
 from limbcli.materials.dispatch import workspace
-from limbcli.materials.simd import LANES, add_three
-from limbcli.materials.simd_rows import (
+from limbcli.materials.simd import (
     CC,
+    LANES,
     PRODUCTS,
     SHIFT,
     STRESS,
@@ -22,6 +22,7 @@ from limbcli.materials.simd_rows import (
     F,
     J,
     S,
+    add_three,
     simd_workspace,
 )
 from limbcli.materials.tensors import VOIGT

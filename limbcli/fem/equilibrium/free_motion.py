@@ -30,10 +30,7 @@ def check_held(tangent: Tangent, contact: ContactState) -> None:
     Contact is included; nodes tied to bodies are treated as constrained, the bodies are
     checked separately (`tangent.check_rigid_modes`).
 
-    Raises
-    ------
-    SingularMatrix
-        Reports the motion, the part's number of nodes and its centroid.
+    Raises SingularMatrix, which tells the motion, the part's number of nodes and its centroid.
     """
     system = tangent.system
     for nodes in _parts(len(system.X), [g.cells for g in system.groups]):

@@ -155,10 +155,7 @@ class Linearised:
     def solve(self, contact: ContactState, rhs: Array, tolerance: float) -> Array:
         """Solve with the last assembled tissue tangent and the tangent of this contact.
 
-        Raises
-        ------
-        SingularMatrix
-            If GMRES does not reduce the residual although the factor is up to date.
+        Raises SingularMatrix if GMRES does not reduce the residual although the factor is up to date.
         """
         assert self.tangent is not None
         assert self.inverse is not None

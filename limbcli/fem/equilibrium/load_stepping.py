@@ -88,7 +88,13 @@ class LoadStepping:
                 raise self._explained(error, load_step, increment.aim) from error
             else:
                 if outcome is IncrementOutcome.BEGIN_AGAIN:
-                    increment = self._begin_again(way, increment)
+                    # without independent volume ratios, which allow longer steps but occasionally diverge
+                    self._reached = way.start
+                    self._newton.volume_ratios = False
+                    way.cuts = 0
+                    increment = replace(
+                        increment, begin=self._reached.last.time, aim=way.target, is_last=True
+                    )
                 self._shorten(way, increment)
 
     def _next(self, way: LoadStepPath) -> Increment:
@@ -171,14 +177,6 @@ class LoadStepping:
         way.known = None
         if newton.counts.iterations > increment.iterations_before:
             newton.linearised.reuse_cost = np.inf  # without an iteration the factor is still up to date
-
-    def _begin_again(self, way: LoadStepPath, increment: Increment) -> Increment:
-        """Return to the last load step, to retry without independent volume ratios: these allow longer
-        steps but occasionally diverge. Returns the whole load step as one increment."""
-        self._reached = way.start
-        self._newton.volume_ratios = False
-        way.cuts = 0
-        return replace(increment, begin=self._reached.last.time, aim=way.target, is_last=True)
 
     def _at_rest(
         self, way: LoadStepPath, increment: Increment, error: SolveError

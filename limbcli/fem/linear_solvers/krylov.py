@@ -26,10 +26,7 @@ def gmres(
 
     On breakdown (the new Krylov vector is mapped to zero) the current solution is returned.
 
-    Raises
-    ------
-    SingularMatrix
-        If the right-hand side or a matrix-vector product is not finite.
+    Raises SingularMatrix if the right-hand side or a matrix-vector product is not finite.
     """
     size = norm(rhs)
     if not np.isfinite(size):

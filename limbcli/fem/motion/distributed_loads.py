@@ -127,7 +127,22 @@ class DistributedLoads:
                 self._dead.append((surface.load, _sum(surface, surface.forces(X), X)))
         self._moving = [load for load in loads if _changes(load)]
         self._following = [each for each in self.surfaces if each.follows]
-        _refuse_on_bodies(model, loads, self.surfaces, self._dead, bodies)
+        # refuse loads on nodes that belong to rigid bodies only
+        for load in loads:
+            at = [each.facets.ravel() for each in self.surfaces if each.load is load]
+            if load.kind == "nodal force":
+                at.append(model.mesh.node_sets[load.on])
+            else:
+                at += [np.flatnonzero(force.any(axis=1)) for each, force in self._dead if each is load]
+            nodes = np.unique(np.concatenate(at)) if at else np.zeros(0, dtype=np.int64)
+            for body in bodies:
+                if len(np.intersect1d(nodes, np.setdiff1d(body.points, body.tied))):
+                    raise SolveError(
+                        f"a {load.kind} on {load.on!r}, which belongs to the rigid body {body.name!r}, is "
+                        "not supported",
+                        where="loads",
+                        fix="apply a rigid force or moment to the body",
+                    )
         self._refuse_bodies_mass(model, loads)
 
     def at(self, curve: Callable[[str], float], time: float) -> None:
@@ -304,28 +319,3 @@ def _dead(model: LimbModel, load: Load, groups: Sequence[Group], X: Array, time:
         forces = np.einsum("cg,gn,cgi->cni", group.weight, N, amount)
         np.add.at(out, group.cells, density[group.block] * forces)
     return out
-
-
-def _refuse_on_bodies(
-    model: LimbModel,
-    loads: Sequence[Load],
-    surfaces: Sequence[LoadedSurface],
-    dead: Sequence[tuple[Load, Array]],
-    bodies: Sequence[Body],
-) -> None:
-    """Refuse loads on nodes that belong to rigid bodies only."""
-    for load in loads:
-        at = [each.facets.ravel() for each in surfaces if each.load is load]
-        if load.kind == "nodal force":
-            at.append(model.mesh.node_sets[load.on])
-        else:
-            at += [np.flatnonzero(force.any(axis=1)) for each, force in dead if each is load]
-        nodes = np.unique(np.concatenate(at)) if at else np.zeros(0, dtype=np.int64)
-        for body in bodies:
-            if len(np.intersect1d(nodes, np.setdiff1d(body.points, body.tied))):
-                raise SolveError(
-                    f"a {load.kind} on {load.on!r}, which belongs to the rigid body {body.name!r}, is not "
-                    "supported",
-                    where="loads",
-                    fix="apply a rigid force or moment to the body",
-                )

@@ -81,7 +81,17 @@ def force_depth(measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> Fi
             lower.axhspan(-half, half, color=QUIET, alpha=0.25, lw=0, label="±1 SD of the load cell")
         lower.axhline(0.0, color=INK, lw=0.8, label="no difference")
         lower.set(xlabel="indentation depth [mm]", ylabel="measured −\nsimulated [N]")
-        _limit_difference(lower, measured, curves)
+        # scale the axis to the fits, not to the start curve, which is expected to be far off
+        fits = [each for each in curves if each.key != "start"] or list(curves)
+        sizes = [np.abs(_difference(measured, each)) for each in fits]
+        largest = max((float(np.nanmax(each)) for each in sizes if np.isfinite(each).any()), default=0.0)
+        counted = (
+            float(_band(measured)[1].max())
+            if measured.counted is not None
+            else 2.0 * (measured.force_sd or 0.0)
+        )
+        span = 1.25 * max(largest, counted, 1e-3)
+        lower.set_ylim(-span, span)
     return figure
 
 
@@ -149,18 +159,6 @@ def _draw_difference(axes: Axes, measured: MeasuredCurve, curve: SimulatedCurve)
             measured.depth[down], difference[down], "o", ms=3.5, color=colour, mfc="white",
             label=f"{curve.label}, unloading",
         )  # fmt: skip
-
-
-def _limit_difference(axes: Axes, measured: MeasuredCurve, curves: Sequence[SimulatedCurve]) -> None:
-    """Scale the axis to the fits, not to the start curve, which is expected to be far off."""
-    fits = [each for each in curves if each.key != "start"] or list(curves)
-    sizes = [np.abs(_difference(measured, each)) for each in fits]
-    largest = max((float(np.nanmax(each)) for each in sizes if np.isfinite(each).any()), default=0.0)
-    counted = (
-        float(_band(measured)[1].max()) if measured.counted is not None else 2.0 * (measured.force_sd or 0.0)
-    )
-    span = 1.25 * max(largest, counted, 1e-3)
-    axes.set_ylim(-span, span)
 
 
 def _band(measured: MeasuredCurve) -> tuple[Array, Array]:

@@ -35,7 +35,9 @@ def skin_figure(state: DeformedState) -> Figure:
         facets(axes, seen[shown][depth_order], facecolors=rgba[depth_order])
         bare(axes)
         axes.set_axis_off()
-        _scale_bar(axes, 20.0)
+        low, high = axes.get_xlim()[0], axes.get_ylim()[0]
+        axes.plot([low, low + 20.0], [high, high], color=INK, lw=2.5, solid_capstyle="butt")
+        axes.annotate("20 mm", (low + 10.0, high), (0, 4), textcoords="offset points", ha="center")
         if state.sides is not None:
             _label_sides(axes, state.sides)
         marks = [
@@ -83,12 +85,6 @@ def _label_sides(axes: Axes, sides: tuple[str, str]) -> None:
             word, tip, (6, 6 if up > 0 else -6), textcoords="offset points", fontsize=8.5,
             va="bottom" if up > 0 else "top",
         )  # fmt: skip
-
-
-def _scale_bar(axes: Axes, length: float) -> None:
-    low, high = axes.get_xlim()[0], axes.get_ylim()[0]
-    axes.plot([low, low + length], [high, high], color=INK, lw=2.5, solid_capstyle="butt")
-    axes.annotate(f"{length:g} mm", (low + length / 2, high), (0, 4), textcoords="offset points", ha="center")
 
 
 def _triangles(facets: dict[str, IntArray], points: Array) -> IntArray:

@@ -10,12 +10,11 @@ from limbcli.reporting.numbers import DASH
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Cell, Reportlet, table
 from limbcli.reporting.sections.convergence import convergence, profiles
-from limbcli.reporting.sections.deformation import deformation
+from limbcli.reporting.sections.deformation import deformation, layers
 from limbcli.reporting.sections.diagnosis import diagnosis
 from limbcli.reporting.sections.elastography import elastography
 from limbcli.reporting.sections.force_depth import force_over_depth
 from limbcli.reporting.sections.joint_fit import joint, laws
-from limbcli.reporting.sections.layer_deformation import layers
 from limbcli.reporting.sections.limb import limb, socket
 from limbcli.reporting.sections.methods import methods
 from limbcli.reporting.sections.numerics import elements, fibres, mesh, mesh_study

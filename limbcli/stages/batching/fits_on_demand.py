@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -37,17 +38,23 @@ def extras(case: Case, out: Path, *, progress: Progress = SILENT) -> Iterator[Fi
     """The fits on demand found in `out`; an unreadable one is skipped (the report shows it)."""
     names = tuple(site.name for site in case.sites)
     joint = result_if_there(out, "fit-joint")
-    if joint is not None:
-        sites = tuple(each for each in joint.data.get("sites", ()) if each in names)
-        if sites:
-            redo = _remade_joint(case, out, joint, sites, progress)
-            yield FitOnDemand("fit-joint", None, sites, _is_current(case, out, joint, sites), redo)
+    sites = () if joint is None else tuple(each for each in joint.data.get("sites", ()) if each in names)
+    if joint is not None and sites:
+        from limbcli.stages.fit_joint import fit_joint
+
+        laws = {"law": str(joint.data.get("law", "ogden")), "compare_laws": bool(joint.data.get("laws"))}
+        options = options_of(FitOptions, {**_requested(joint), **laws})
+        redo = partial(fit_joint, case, out=out, sites=list(sites), options=options, progress=progress)
+        yield FitOnDemand("fit-joint", None, sites, _is_current(case, out, joint, sites), redo)
     for name in names:
         compared = result_if_there(out, "fit-elements", site=name)
         if compared is not None:
-            redo = _remade_elements(case, out, compared, name, progress)
+            from limbcli.stages.fit_elements import compare_elements
+
+            options = options_of(FitOptions, _requested(compared))
+            again = partial(compare_elements, case, out=out, sites=[name], options=options, progress=progress)
             current = _is_current(case, out, compared, (name,))
-            yield FitOnDemand("fit-elements", name, (name,), current, redo)
+            yield FitOnDemand("fit-elements", name, (name,), current, again)
 
 
 def _requested(found: StageResult) -> Mapping[str, Any]:
@@ -82,22 +89,3 @@ def _is_current(case: Case, out: Path, found: StageResult, sites: tuple[str, ...
         if hashes and (not study.is_file() or hashes != {sha256(study)}):
             return False
     return set(sites) == set(found.data.get("sites", sites))
-
-
-def _remade_joint(
-    case: Case, out: Path, found: StageResult, sites: tuple[str, ...], progress: Progress
-) -> Callable[[], object]:
-    from limbcli.stages.fit_joint import fit_joint
-
-    laws = {"law": str(found.data.get("law", "ogden")), "compare_laws": bool(found.data.get("laws"))}
-    options = options_of(FitOptions, {**_requested(found), **laws})
-    return lambda: fit_joint(case, out=out, sites=list(sites), options=options, progress=progress)
-
-
-def _remade_elements(
-    case: Case, out: Path, found: StageResult, site: str, progress: Progress
-) -> Callable[[], object]:
-    from limbcli.stages.fit_elements import compare_elements
-
-    options = options_of(FitOptions, _requested(found))
-    return lambda: compare_elements(case, out=out, sites=[site], options=options, progress=progress)

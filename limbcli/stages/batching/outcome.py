@@ -7,9 +7,18 @@ from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
 
-from limbcli.errors import LimbcliError
+from limbcli.errors import LimbcliError, LimbError
+from limbcli.errors.pasted_commands import pasted, typed
 from limbcli.files.atomic import atomic_file
-from limbcli.results import ERROR_FILE, error_json, stage_folder
+from limbcli.results import (
+    ERROR_FILE,
+    StageResult,
+    error_json,
+    open_stage,
+    plain,
+    provenance,
+    stage_folder,
+)
 
 _KEPT = ("segment",)  # result is kept on failure, as it shows whether the label map has been edited since
 
@@ -85,17 +94,10 @@ class CaseOutcome:
         self.report = part.report or self.report
 
     def to_json(self) -> dict[str, Any]:
-        return {
-            "case": str(self.case),
-            "out": str(self.out),
-            "ran": self.ran,
-            "fresh": self.fresh,
-            "kept": self.kept,
-            "failures": [
-                {"stage": each.stage, "site": each.site, **error_json(each.error)} for each in self.failures
-            ],
-            "report": str(self.report) if self.report else None,
-        }
+        failed = [
+            {"stage": each.stage, "site": each.site, **error_json(each.error)} for each in self.failures
+        ]
+        return {k: plain(v) for k, v in vars(self).items() if k != "begun"} | {"failures": failed}
 
 
 def keep_error(
@@ -114,3 +116,26 @@ def keep_error(
     finally:  # even if the disk is full
         if not keep_result and stage not in _KEPT:
             (folder / f"{stage}.json").unlink(missing_ok=True)
+
+
+def report_failure(folder: Path, error: LimbError, *, out: Path) -> StageResult:
+    """Write an `<out>/report/report.html` that shows why a case could not be opened.
+
+    One subject's unusable folder does not stop a batch; that subject still gets a page and a row in
+    the index.
+    """
+    from limbcli.reporting.outcome import Failure, problems_of
+    from limbcli.reporting.page import render
+
+    shown = pasted(error, folder, out)
+    failure = Failure(type(shown).__name__, shown.what, shown.where, shown.fix, problems_of(shown.facts))
+    name = folder.resolve().name
+    with open_stage(out, "report", subject=name) as writer:
+        command = f"limbcli check {typed(folder)}"
+        facts = {"subject": name, "own": provenance(), "failure": failure, "command": command}
+        page = render("failure.html.j2", facts)
+        writer.file("page", "report.html").write_text(page, encoding="utf-8")
+        failures = [{"stage": "check", "site": None, **vars(failure)}]
+        writer.data.update(mood="failed", failures=failures, n_warnings=0, sites={})
+        writer.summary.append(f"the case cannot be used: {error.what}")
+    return writer.result

@@ -51,13 +51,13 @@ def site_steps(
         fit_options = replace(fit_options, templates=templates)
     study = stage_folder(out, "mesh-study", name) / "mesh-study.json"
 
-    def build() -> object:
-        tissue_options = options_of(TissueOptions, tissue)
-        return build_feb(case, options=tissue_options, templates=templates, **common)
-
     steps = [
         SiteStep("mesh", parts_of(meshed), lambda: mesh(case, options=mesh_request, **common)),
-        SiteStep("build-feb", (*of_model, *parts_of(tissue)), build),
+        SiteStep(
+            "build-feb",
+            (*of_model, *parts_of(tissue)),
+            lambda: build_feb(case, options=options_of(TissueOptions, tissue), templates=templates, **common),
+        ),
         SiteStep(
             "run",
             (identity(options.solver, options.febio), *parts_of(ran)),

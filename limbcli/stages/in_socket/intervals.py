@@ -1,4 +1,4 @@
-"""Intervals of the pressures over the limb's draws, from a few more solves.
+"""Pressure and shear of patches of the skin; their intervals over the limb's draws, from a few more solves.
 
 Every quantity of the table is taken as a sum over ln c, ln m (their means over the limb), the friction, and
 the socket's place on the limb (turned about and shifted along the two directions across it): linear in the
@@ -23,9 +23,11 @@ import numpy as np
 from limbcli.errors import SolveError
 from limbcli.model import Array, ElementMap, LimbModel, Value
 from limbcli.progress import Progress
-from limbcli.stages.in_socket.patch_pressure import PatchPressure
-from limbcli.stages.in_socket.patch_table import QUANTITIES, WHOLE, Interval
 
+WHOLE = "skin"  # name of the row of the whole skin
+QUANTITIES = ("contact_area_mm2", "mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa", "peak_shear_kpa")
+
+Interval = tuple[float, float]
 ALIGNMENT = "alignment"
 _POSE = ("tilt_sagittal", "tilt_frontal", "shift_across", "shift_front_back")
 NAMES = ("c", "m", "friction", *_POSE)
@@ -38,6 +40,31 @@ _ENDS = (2.5, 97.5)  # percentiles of a 95 % interval
 
 Pose = tuple[float, float, float, float]
 """How far a socket is off its place: tilts about x and y of the upright frame, deg; shifts along them, mm."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PatchPressure:
+    """A patch of the skin under one load; `load_n` 0: after donning; patch "skin": all of it.
+
+    Attributes
+    ----------
+    area_mm2 : at rest
+    contact_area_mm2 : current area of its facets under pressure
+    mean_kpa, p95_kpa, mean_shear_kpa : over the area in contact
+    peak_kpa, peak_shear_kpa : largest mean over one facet
+    """
+
+    load_n: float
+    patch: str
+    area_mm2: float
+    contact_area_mm2: float
+    mean_kpa: float
+    p95_kpa: float
+    peak_kpa: float
+    mean_shear_kpa: float
+    peak_shear_kpa: float
+
+
 Solved = Callable[[LimbModel, float, Pose], list[PatchPressure]]
 
 
@@ -82,10 +109,8 @@ def pressure_intervals(
 
     base : rows of the solve with the limb's own values; solved : the same rows for other values
 
-    Raises
-    ------
-    SolveError
-        If a solve has no equilibrium, with a changed place neither on one side nor on the other.
+    Raises SolveError if a solve has no equilibrium, with a changed place neither on one side nor on the
+    other.
     """
     centre, deviations = drawn.mean(axis=0), drawn.std(axis=0, ddof=1)
     varied = [k for k in range(len(NAMES)) if deviations[k] > _LEAST]

@@ -85,13 +85,15 @@ def frame_of(model: LimbModel) -> LimbFrame:
 def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> LimbInSocket:
     """The limb and its socket, checked.
 
-    Raises
-    ------
-    CaseError, MeshError
-        If the socket does not fit the limb; each reason has its own message.
+    Raises CaseError or MeshError if the socket does not fit the limb; each reason has its own message.
     """
     frame = frame_of(model)
-    limb = _upright(model, frame)
+    bodies = tuple(
+        replace(each, center_of_mass=tuple(frame.upright(np.array([each.center_of_mass]))[0].tolist()))
+        for each in model.bodies
+    )
+    mesh = replace(model.mesh, points=frame.upright(model.mesh.points))
+    limb = replace(model, mesh=mesh, bodies=bodies)
     facets = next(iter(limb.mesh.surfaces["skin"].facets.values()))[:, :3]
     points = np.unique(facets)
     skin = Triangles(limb.mesh.points[points], np.searchsorted(points, facets).astype(np.int64))
@@ -153,15 +155,6 @@ def lateral_of(frame: LimbFrame) -> Array:
     return np.asarray(frame.lateral @ np.cross(frame.axis, frame.anterior) * np.eye(3)[0])
 
 
-def _upright(model: LimbModel, frame: LimbFrame) -> LimbModel:
-    bodies = tuple(
-        replace(each, center_of_mass=tuple(frame.upright(np.array([each.center_of_mass]))[0].tolist()))
-        for each in model.bodies
-    )
-    mesh = replace(model.mesh, points=frame.upright(model.mesh.points))
-    return replace(model, mesh=mesh, bodies=bodies)
-
-
 def _turn(frame: LimbFrame) -> Array:
     """Rows: the axes of the upright frame in LPS."""
     return np.asarray(frame.upright(np.eye(3)) - frame.upright(np.zeros((1, 3)))).T
@@ -191,21 +184,17 @@ def _from_skin(
         brim_mm=-brim,
         flare_mm=given.flare,
     )
-    face = rectified(skin, patch_points(limb, points), table, TO_TIP, where="[socket]")
-    return (
-        face,
-        f"made from the skin up to {brim:.0f} mm, flared by {given.flare:g} mm there: {table.sentence}",
-    )
-
-
-def patch_points(limb: LimbModel, points: IntArray) -> dict[str, IntArray]:
-    """By patch, the numbers of its corners among the skin's `points`."""
+    # by patch, the numbers of its corners among the skin's `points`
     found = {}
     for name, surface in limb.mesh.surfaces.items():
         if name.startswith(PATCH):
             nodes = np.unique(next(iter(surface.facets.values()))[:, :3])
             found[name.removeprefix(PATCH)] = np.searchsorted(points, nodes)
-    return found
+    face = rectified(skin, found, table, TO_TIP, where="[socket]")
+    return (
+        face,
+        f"made from the skin up to {brim:.0f} mm, flared by {given.flare:g} mm there: {table.sentence}",
+    )
 
 
 def _from_file(

@@ -19,14 +19,8 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.sockets.donning import SocketState
+from limbcli.stages.in_socket.intervals import QUANTITIES, WHOLE, Interval, PatchPressure
 from limbcli.stages.in_socket.limb_in_socket import PATCH, LimbInSocket, lateral_of
-from limbcli.stages.in_socket.patch_pressure import PatchPressure
-
-WHOLE = "skin"  # name of the row of the whole skin
-QUANTITIES = ("contact_area_mm2", "mean_kpa", "p95_kpa", "peak_kpa", "mean_shear_kpa", "peak_shear_kpa")
-
-
-Interval = tuple[float, float]
 
 
 def patch_masks(limb: LimbModel) -> dict[str, NDArray[np.bool_]]:

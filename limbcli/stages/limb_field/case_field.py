@@ -127,12 +127,8 @@ def case_field(
 
     cohort, location : folder of a cohort's result, and its location whose population is the prior
 
-    Raises
-    ------
-    CaseError
-        If a result is out of date, or the cohort has no such location.
-    MeasurementError, FitError
-        If a map or a reading cannot be used.
+    Raises CaseError if a result is out of date, or the cohort has no such location; MeasurementError or
+    FitError if a map or a reading cannot be used.
     """
     results, priors = site_results(case, chain, writer), PRIORS
     if cohort is not None:
@@ -149,10 +145,7 @@ def cohort_priors(folder: Path, location: str | None) -> dict[str, FieldPrior]:
 
     location : None: the only one there is
 
-    Raises
-    ------
-    CaseError
-        If the folder holds no result of `cohort`, or that has no such location.
+    Raises CaseError if the folder holds no result of `cohort`, or that has no such location.
     """
     sites: Mapping[str, Any] = read_cohort(folder).data["sites"]
     name = location or (next(iter(sites)) if len(sites) == 1 else "")

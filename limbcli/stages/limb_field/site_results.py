@@ -54,14 +54,8 @@ def site_results(case: Case, chain: Chain, writer: StageWriter) -> LimbReadings:
 
     writer : records the results used
 
-    Raises
-    ------
-    CaseError
-        If a result is out of date.
-    MeasurementError
-        If a map is faulty.
-    FitError
-        If a result lacks what every version writes.
+    Raises CaseError if a result is out of date; MeasurementError if a map is faulty; FitError if a result
+    lacks what every version writes.
     """
     found = LimbReadings()
     for site in case.sites:

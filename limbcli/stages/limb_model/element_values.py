@@ -14,7 +14,7 @@ from limbcli.model import Array, Block, ElementMap, IntArray, LimbModel
 from limbcli.numbers.units import kpa_from_mpa, mpa_from_kpa
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter
-from limbcli.site_model.indentation_model import C_KPA
+from limbcli.site_model.indentation_model import C_KPA, TissueLaw
 from limbcli.site_model.site_levels import levels_of
 from limbcli.stages.build_feb import tissue_stiffness
 from limbcli.stages.limb_field.case_field import CaseField
@@ -24,18 +24,6 @@ from limbcli.stiffness_field.draws import Draw
 ASSUMED = "assumed"
 _SAMPLE = 2000  # elements over which m, f_kappa and draws are averaged
 F_KAPPA, M = 100.0, 2.0  # of the law where no site was fitted
-
-
-@dataclass(frozen=True)
-class LimbStiffness:
-    """c (MPa), f_kappa and m of the limb's tissue (means, where its elements differ), their source in words,
-    and the sites used."""
-
-    c: float
-    f_kappa: float
-    m: float
-    source: str
-    sites: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,21 +43,16 @@ class ElementValues:
     f_kappa: Array
 
 
-def limb_stiffness(
-    case: Case, out: Chain, writer: StageWriter, *, c_kpa: float | None = None
-) -> LimbStiffness:
+def limb_stiffness(case: Case, out: Chain, writer: StageWriter, *, c_kpa: float | None = None) -> TissueLaw:
     """One c for the limb: given, else the mean of the fitted sites, else that of the sites' speeds at rest.
 
-    Raises
-    ------
-    CaseError
-        If none is known, or the given one is out of range.
+    Raises CaseError if none is known, or the given one is out of range.
     """
     if c_kpa is not None:
         low, high = C_KPA
         if not low <= c_kpa <= high:
             raise CaseError(f"c is {c_kpa:g} kPa", where="--c-kpa", fix=f"give {low:g} to {high:g} kPa")
-        return LimbStiffness(mpa_from_kpa(c_kpa), F_KAPPA, M, "given with --c-kpa")
+        return TissueLaw(mpa_from_kpa(c_kpa), F_KAPPA, M, "given with --c-kpa")
     fits = {
         site.name: found for site in case.sites if (found := out.present("fit", site=site.name)) is not None
     }
@@ -91,17 +74,17 @@ def limb_stiffness(
             fix=f"{fix}, or give the stiffness by hand: --c-kpa",
         )  # fmt: skip
     words = f"mean of 2 mu from SWE at rest of {_listed(speeds)}"
-    return LimbStiffness(float(np.mean(list(speeds.values()))), F_KAPPA, M, words, tuple(speeds))
+    return TissueLaw(float(np.mean(list(speeds.values()))), F_KAPPA, M, words, tuple(speeds))
 
 
-def _of_fits(fits: dict[str, StageResult], writer: StageWriter) -> LimbStiffness:
+def _of_fits(fits: dict[str, StageResult], writer: StageWriter) -> TissueLaw:
     keys = ("c_kpa", "f_kappa", "m")
     for found in fits.values():
         writer.used_result(found, data=keys)
     table = np.array([[float(each.data[key]) for key in keys] for each in fits.values()])
     c, f_kappa, m = table.mean(axis=0)
     words = f"mean of the fitted {_listed(fits)}"
-    return LimbStiffness(mpa_from_kpa(float(c)), float(f_kappa), float(m), words, tuple(fits))
+    return TissueLaw(mpa_from_kpa(float(c)), float(f_kappa), float(m), words, tuple(fits))
 
 
 def _listed(sites: Sequence[str] | dict[str, object] | dict[str, float] | dict[str, StageResult]) -> str:
@@ -109,7 +92,7 @@ def _listed(sites: Sequence[str] | dict[str, object] | dict[str, float] | dict[s
     return f"site{'s' if len(names) > 1 else ''} {', '.join(names)}"
 
 
-def element_values(centroids: Array, stiffness: LimbStiffness, sites: Array) -> ElementValues:
+def element_values(centroids: Array, stiffness: TissueLaw, sites: Array) -> ElementValues:
     """Values of the elements with these centroids (n, 3); sites (k, 3) are the places used; both LPS, mm.
 
     One c everywhere: every element is `assumed`, and its limits are not known (NaN).
@@ -125,7 +108,7 @@ def element_values(centroids: Array, stiffness: LimbStiffness, sites: Array) -> 
     )  # fmt: skip
 
 
-def field_values(found: CaseField, centroids: Array, volumes: Array) -> tuple[ElementValues, LimbStiffness]:
+def field_values(found: CaseField, centroids: Array, volumes: Array) -> tuple[ElementValues, TissueLaw]:
     """Values of the elements with these centroids (n, 3), LPS, mm, by the field, and their (geometric) means.
 
     volumes (n,) mm3 : weights of the means
@@ -137,7 +120,7 @@ def field_values(found: CaseField, centroids: Array, volumes: Array) -> tuple[El
     c, f_kappa_mean, m_mean = (
         float(np.exp(np.average(np.log(each), weights=volumes))) for each in (values.c, f_kappa, m)
     )
-    return values, LimbStiffness(c, f_kappa_mean, m_mean, source, sites)
+    return values, TissueLaw(c, f_kappa_mean, m_mean, source, sites)
 
 
 def sample_of(n: int) -> IntArray:

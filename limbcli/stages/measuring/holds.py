@@ -145,7 +145,15 @@ def _report_holds(
             "hold at about 0 N first, for hold_s"
         )
     writer.warnings.extend(found_twice(holds, step))
-    _report_doubtful_holds(holds, trace, writer)
+    # warn of samples without a force, and of forces so small that they may be in another unit
+    lost = int((~np.isfinite(trace.force)).sum())
+    if lost > _FEW_LOST * len(trace.force):
+        writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record contain no force")
+    largest = max(each.force for each in holds)
+    if largest < _SMALL_FORCE:
+        writer.warnings.append(
+            f"the largest hold is at {largest:.2f} N: is the record in kgf, or in volts? (force_unit)"
+        )
     for force in missing_levels(list(holds), step=step):
         writer.warnings.append(f"there is no hold at {force:g} N (steps of {step:g} N)")
 
@@ -164,15 +172,3 @@ def found_twice(holds: Sequence[Hold], step: float) -> list[str]:
                 "twice, unless it was held twice; raise hold_s or hold_tolerance_n until they are one"
             )
     return found
-
-
-def _report_doubtful_holds(holds: Sequence[Hold], trace: Trace, writer: StageWriter) -> None:
-    """Warn of samples without a force, and of forces so small that they may be in another unit."""
-    lost = int((~np.isfinite(trace.force)).sum())
-    if lost > _FEW_LOST * len(trace.force):
-        writer.warnings.append(f"{lost} of {len(trace.force)} samples of the record contain no force")
-    largest = max(each.force for each in holds)
-    if largest < _SMALL_FORCE:
-        writer.warnings.append(
-            f"the largest hold is at {largest:.2f} N: is the record in kgf, or in volts? (force_unit)"
-        )

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -82,7 +82,12 @@ def report_index(folder: Path, *, templates: Path | None = None, progress: Progr
 
 def _picture(rows: list[IndexRow], folder: Path) -> str:
     """Figure comparing the parameters, as a data URI; also writes its SVG and data. Empty without a fit."""
-    known = study_rows(rows)
+    known: list[tuple[str, dict[str, EstimateView]]] = []
+    for row in rows:
+        if row.view is not None and (step := row.view.last) is not None:
+            each = {"c": step.estimate("c"), "m": step.estimate("m"), "κ′": step.kappa}
+            own = f" ({row.folder})" if row.folder != row.subject else ""
+            known.append((f"{row.subject}{own} {row.site}".strip(), {k: v for k, v in each.items() if v}))
     if not known:
         return ""
     svg = folder / "study.svg"
@@ -113,7 +118,7 @@ def _rows(out: Path, folder: Path) -> list[IndexRow]:
     """The rows of one subject; unreadable results give a row with the error, for this subject only."""
     try:
         report = read_result(out, "report")
-        link = quote(relative(report.path("page"), folder))
+        link = quote(Path(os.path.relpath(report.path("page"), folder)).as_posix())
         sites = list(report.data.get("sites", {})) or [""]
         return [_row(out, report, site, link) for site in sites]
     except CaseError as error:
@@ -231,30 +236,10 @@ class IndexRow:
         )
 
 
-def study_rows(rows: Sequence[IndexRow]) -> list[StudyRow]:
-    """Estimates of c, m and kappa' for all fitted sites."""
-    found = []
-    for row in rows:
-        step = row.view.last if row.view else None
-        if step is None:
-            continue
-        c = next((each for each in step.estimates if each.name == "c"), None)
-        known = {"c": c, "m": step.estimate("m"), "κ′": step.kappa}
-        own = f" ({row.folder})" if row.folder != row.subject else ""
-        label = f"{row.subject}{own} {row.site}".strip()
-        found.append(StudyRow(label, {name: each for name, each in known.items() if each is not None}))
-    return found
-
-
 HEADINGS = (
     "subject", "site", "state", "warnings", "c [kPa]", "m [–]", "m, 95 % interval [–]", "κ′ [kPa]",
     "R² [–]", "misfit (RMS) [N]",
 )  # fmt: skip
-
-
-def relative(page: Path, folder: Path) -> str:
-    """Address of a page relative to a folder, with forward slashes."""
-    return Path(os.path.relpath(page, folder)).as_posix()
 
 
 _COLUMNS = (("c", "c [kPa]"), ("m", "m [–]"), ("κ′", "κ′ [kPa]"))
@@ -262,28 +247,19 @@ _OPEN = "#8a8a8a"
 _NAME_WIDTH = 28  # characters per line of a label
 
 
-@dataclass(frozen=True)
-class StudyRow:
-    """Label of a site, and its estimates of c, m and kappa', by symbol."""
-
-    label: str
-    estimates: dict[str, EstimateView]
-
-
-def study_figure(rows: Sequence[StudyRow]) -> Figure:
-    """One row per site, one panel per parameter: a dot with its interval if the data determine a value, else
-    an arrow on the side that is not excluded."""
+def study_figure(rows: Sequence[tuple[str, Mapping[str, EstimateView]]]) -> Figure:
+    """One row per site (its label, and its estimates by symbol), one panel per parameter: a dot with its
+    interval if the data determine a value, else an arrow on the side that is not excluded."""
     with style():
-        names = [textwrap.fill(row.label, _NAME_WIDTH) for row in rows]
+        names = [textwrap.fill(label, _NAME_WIDTH) for label, _ in rows]
         lines = max((name.count("\n") + 1 for name in names), default=1)
         figure = new_figure(9.2, 1.5 + (0.2 + 0.14 * lines) * max(len(rows), 2))
         panels = figure.subplots(1, len(_COLUMNS), sharey=True)
         for axes, (name, label) in zip(panels, _COLUMNS, strict=True):
-            for k, row in enumerate(rows):
-                if name in row.estimates:
-                    _draw(axes, k, row.estimates[name], literal(row.label))
-            drawn = any(_is_drawn(row.estimates.get(name)) for row in rows)
-            if drawn:
+            for k, (site, estimates) in enumerate(rows):
+                if name in estimates:
+                    _draw(axes, k, estimates[name], literal(site))
+            if any(_is_drawn(estimates.get(name)) for _, estimates in rows):
                 axes.set_xscale("log")
                 plain_log(axes.xaxis, few=True)
             else:

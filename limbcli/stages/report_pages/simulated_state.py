@@ -153,13 +153,9 @@ def principal_stretches(deformation_gradient: Array) -> Array:
 
     1 is the undeformed length; 0.8 is a shortening by 20 % in that direction.
 
-    Parameters
-    ----------
     deformation_gradient : array, shape (..., 3, 3)
 
-    Returns
-    -------
-    array, shape (..., 3), dimensionless
+    Returns (..., 3), dimensionless
 
     >>> principal_stretches(np.diag([0.5, 2.0, 1.0]))
     array([2. , 1. , 0.5])

@@ -63,17 +63,19 @@ def write_simulation(
         logged = [name for table in simulation.nodes.values() for name in table.fields]
         cautions = (version_caution(simulation.version), reaction_caution(simulation.version, logged))
         writer.warnings.extend(filter(None, cautions))
-    body = probe_body(simulation)
+    names = _with_curve(simulation)
+    body = _PROBE if _PROBE in names else next(iter(names), None)
     if body is None:
         writer.warnings.append("no rigid body logs z and Fz, so there is no force-depth curve")
         return
     writer.warnings.extend(curve_warnings(simulation, body))
     if own:
-        curve = force_depth_rows(simulation, body)
+        depth, force = simulation.probe_depth(body), simulation.probe_force(body)
     else:
         found = travel(body, simulation.rigid[body])
+        depth, force = found.depth, found.force
         (writer.summary if found.touches else writer.warnings).append(found.note)
-        curve = np.stack([simulation.times, found.depth, found.force], axis=1)[simulation.times > 0]
+    curve = np.stack([simulation.times, depth, force], axis=1)[simulation.times > 0]
     rows = ([f"{value:.{_DIGITS}g}" for value in row] for row in curve.tolist())
     write_rows(writer.file("force_depth", "force-depth.csv"), COLUMNS, rows)
     at_levels = at_must_points(curve, outline.must_points).tolist()
@@ -108,21 +110,9 @@ def log_warnings(simulation: Simulation, *, own: bool) -> list[str]:
     ]
 
 
-def probe_body(simulation: Simulation) -> str | None:
-    """The body called `probe`, else the first one that logs height and force."""
-    names = _with_curve(simulation)
-    return _PROBE if _PROBE in names else next(iter(names), None)
-
-
 def _with_curve(simulation: Simulation) -> list[str]:
     """The bodies that log height and force."""
     return [name for name, table in simulation.rigid.items() if set(table.fields) >= _NEEDED]
-
-
-def force_depth_rows(simulation: Simulation, body: str) -> Array:
-    """(n_steps, 3): time s, depth mm, force N of every converged step, without the initial state."""
-    rows = np.stack([simulation.times, simulation.probe_depth(body), simulation.probe_force(body)], axis=1)
-    return np.asarray(rows[simulation.times > 0])
 
 
 def at_must_points(curve: Array, must_points: tuple[float, ...]) -> Array:

@@ -88,10 +88,7 @@ class AssumedLimb:
 def assumed_limb(case: Case) -> AssumedLimb:
     """Skin and bones of a case without images of them.
 
-    Raises
-    ------
-    CaseError
-        Listing every problem: layers that do not add up, a site without a distance to the bone.
+    Raises CaseError listing every problem: layers that do not add up, a site without a distance to the bone.
     """
     problems = assumed_problems(case)
     raise_errors(problems, CaseError)

@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from scipy.spatial import cKDTree
 
@@ -114,14 +113,7 @@ def draw_places(
         axes.set(xlim=(middle[across[0]] - half, middle[across[0]] + half), ylim=(low[2], high[2]))
         axes.label_outer()
         axes.grid(True, linewidth=0.4, alpha=0.5)
-    _report_marks(figure, grid, markers, sites)
-    save_picture(figure, path, dpi=70)
-
-
-def _report_marks(
-    figure: Figure, grid: Sequence[GridPoint], markers: Mapping[str, Array], sites: Mapping[str, Array]
-) -> None:
-    """Draw a legend of the marks that are present."""
+    # a legend of the marks that are present
     thin = [each for each in grid if each.nearest_bone < _NEAR]
     marks = (
         (len(thin) < len(grid), ".", _THICK, "point of the grid"),
@@ -136,6 +128,7 @@ def _report_marks(
     ]
     if lines:
         figure.legend(handles=lines, loc="lower center", ncols=len(lines))
+    save_picture(figure, path, dpi=70)
 
 
 def _draw_points(

@@ -74,10 +74,7 @@ def check_limb(
 
     accept_bones : of bones outside the skin, return what is inside, with a warning
 
-    Raises
-    ------
-    CaseError
-        Listing everything impossible: a bone outside the skin, sizes in another unit.
+    Raises CaseError listing everything impossible: a bone outside the skin, sizes in another unit.
     """
     kept = _inside_skin(surfaces, writer, where) if accept_bones else dict(surfaces)
     problems = limb_problems(kept, limb=case.limb, where=where)

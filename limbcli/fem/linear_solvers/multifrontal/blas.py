@@ -29,68 +29,52 @@ def addresses(single: bool) -> IntArray:
     return np.array(found)
 
 
-_BYTE, _INT = ir.IntType(8), ir.IntType(32)
-
-
-def _pointer(context, builder, array_type, array, offset):  # type: ignore[no-untyped-def]
-    data = context.make_array(array_type)(context, builder, array).data
-    return builder.gep(data, [offset])
-
-
 def _by_address(builder, value):  # type: ignore[no-untyped-def]
     slot = cgutils.alloca_once(builder, value.type)
     builder.store(value, slot)
     return slot
 
 
-def _letter(builder, letter):  # type: ignore[no-untyped-def]
-    return _by_address(builder, ir.Constant(_BYTE, ord(letter)))
+def _calling(routine, letters="", *, scale=None, info=False):  # type: ignore[no-untyped-def]
+    """Generates the call of a routine: its letters, then what the intrinsic takes besides the table of
+    addresses, an array with the offset that follows it as the pointer to its first number.
+
+    scale : a constant before the first array; info : the routine ends with a number that is not looked at
+    """
+    integer = ir.IntType(32)
+
+    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
+        data = lambda kind, array: context.make_array(kind)(context, builder, array).data  # noqa: E731
+        given = [ir.Constant(ir.IntType(8), ord(each)) for each in letters]
+        arguments = [_by_address(builder, each) for each in given]
+        rest, one = zip(signature.args[1:], args[1:], strict=True), scale
+        for kind, value in rest:
+            if isinstance(kind, types.Array):
+                if one is not None:
+                    constant, one = context.get_constant(kind.dtype, one), None
+                    arguments.append(_by_address(builder, constant))
+                arguments.append(builder.gep(data(kind, value), [next(rest)[1]]))
+            else:
+                is_count = isinstance(kind, types.Integer)
+                arguments.append(_by_address(builder, builder.trunc(value, integer) if is_count else value))
+        arguments += [_by_address(builder, ir.Constant(integer, 0))] if info else []
+        kind = ir.FunctionType(ir.VoidType(), [each.type for each in arguments])
+        at = builder.gep(data(signature.args[0], args[0]), [ir.Constant(ir.IntType(64), routine)])
+        builder.call(builder.inttoptr(builder.load(at), kind.as_pointer()), arguments)
+        return context.get_dummy_value()
+
+    return codegen
 
 
-def _int(builder, value):  # type: ignore[no-untyped-def]
-    return _by_address(builder, builder.trunc(value, _INT))
-
-
-def _call(builder, table, routine, arguments):  # type: ignore[no-untyped-def]
-    kind = ir.FunctionType(ir.VoidType(), [each.type for each in arguments])
-    at = builder.gep(table, [ir.Constant(ir.IntType(64), routine)])
-    builder.call(builder.inttoptr(builder.load(at), kind.as_pointer()), arguments)
-
-
-def _table(context, builder, signature, args):  # type: ignore[no-untyped-def]
-    return context.make_array(signature.args[0])(context, builder, args[0]).data
+_I = types.intp
 
 
 def _gemm(turned):  # type: ignore[no-untyped-def]
     """GEMM intrinsic; turned : "T" if B is passed as its transpose, else "N"."""
 
     def typed(typingctx, table, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
-        i = types.intp
-        real = a.dtype
-        signature = types.void(table, i, i, i, real, a, i, i, b, i, i, real, c, i, i)
-
-        def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-            t = signature.args
-            _, m, n, k, alpha, a, oa, lda, b, ob, ldb, beta, c, oc, ldc = args
-            arguments = [
-                _letter(builder, "N"),
-                _letter(builder, turned),
-                _int(builder, m),
-                _int(builder, n),
-                _int(builder, k),
-                _by_address(builder, alpha),
-                _pointer(context, builder, t[5], a, oa),
-                _int(builder, lda),
-                _pointer(context, builder, t[8], b, ob),
-                _int(builder, ldb),
-                _by_address(builder, beta),
-                _pointer(context, builder, t[12], c, oc),
-                _int(builder, ldc),
-            ]
-            _call(builder, _table(context, builder, signature, args), GEMM, arguments)
-            return context.get_dummy_value()
-
-        return signature, codegen
+        signature = types.void(table, _I, _I, _I, a.dtype, a, _I, _I, b, _I, _I, a.dtype, c, _I, _I)
+        return signature, _calling(GEMM, "N" + turned)
 
     return typed
 
@@ -103,74 +87,16 @@ gemm_nn = intrinsic(_gemm("N"))
 @intrinsic
 def syrk(typingctx, table, n, k, alpha, a, oa, lda, beta, c, oc, ldc):  # type: ignore[no-untyped-def]
     """Lower triangle of C = alpha A A^T + beta C, A (n, k)."""
-    i = types.intp
-    signature = types.void(table, i, i, a.dtype, a, i, i, a.dtype, c, i, i)
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        t = signature.args
-        _, n, k, alpha, a, oa, lda, beta, c, oc, ldc = args
-        arguments = [
-            _letter(builder, "L"),
-            _letter(builder, "N"),
-            _int(builder, n),
-            _int(builder, k),
-            _by_address(builder, alpha),
-            _pointer(context, builder, t[4], a, oa),
-            _int(builder, lda),
-            _by_address(builder, beta),
-            _pointer(context, builder, t[8], c, oc),
-            _int(builder, ldc),
-        ]
-        _call(builder, _table(context, builder, signature, args), SYRK, arguments)
-        return context.get_dummy_value()
-
-    return signature, codegen
+    return types.void(table, _I, _I, a.dtype, a, _I, _I, a.dtype, c, _I, _I), _calling(SYRK, "LN")
 
 
 @intrinsic
 def solve_unit_lower(typingctx, table, m, n, a, oa, lda, b, ob, ldb):  # type: ignore[no-untyped-def]
     """B (m, n) = L^-1 B, with L the unit lower triangle of A."""
-    i = types.intp
-    signature = types.void(table, i, i, a, i, i, b, i, i)
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        t = signature.args
-        _, m, n, a, oa, lda, b, ob, ldb = args
-        one = context.get_constant(t[3].dtype, 1.0)
-        arguments = [
-            *(_letter(builder, each) for each in "LLNU"),
-            _int(builder, m),
-            _int(builder, n),
-            _by_address(builder, one),
-            _pointer(context, builder, t[3], a, oa),
-            _int(builder, lda),
-            _pointer(context, builder, t[6], b, ob),
-            _int(builder, ldb),
-        ]
-        _call(builder, _table(context, builder, signature, args), TRSM, arguments)
-        return context.get_dummy_value()
-
-    return signature, codegen
+    return types.void(table, _I, _I, a, _I, _I, b, _I, _I), _calling(TRSM, "LLNU", scale=1.0)
 
 
 @intrinsic
 def getrf(typingctx, table, m, n, a, oa, lda, pivots, op):  # type: ignore[no-untyped-def]
     """LU of A (m, n) in place; the exchanged rows, counted from 1, go to pivots[op:] (int32)."""
-    i = types.intp
-    signature = types.void(table, i, i, a, i, i, pivots, i)
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        t = signature.args
-        _, m, n, a, oa, lda, pivots, op = args
-        arguments = [
-            _int(builder, m),
-            _int(builder, n),
-            _pointer(context, builder, t[3], a, oa),
-            _int(builder, lda),
-            _pointer(context, builder, t[6], pivots, op),
-            _by_address(builder, ir.Constant(_INT, 0)),
-        ]
-        _call(builder, _table(context, builder, signature, args), GETRF, arguments)
-        return context.get_dummy_value()
-
-    return signature, codegen
+    return types.void(table, _I, _I, a, _I, _I, pivots, _I), _calling(GETRF, info=True)

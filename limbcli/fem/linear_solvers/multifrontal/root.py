@@ -37,7 +37,7 @@ class Root:
         self._unfactored = np.empty(self.n * self.ld + ALIGNED if kept else 0, dtype=store.kind)
         n_tiles, size = (int(each[0]) for each in sizes(np.array([self.n]), np.array([self.n])))
         self._kept = make_kept(self.n, n_tiles, size, store.kind)
-        self._made_up, self.is_factored = 0, True
+        self.made_up, self.is_factored = 0, True
         self._lu = Lu(self.n if kept else 0, store.kind, store.blas, top.team)
         self._is_unsymmetric = False
         self._room = np.zeros(self.n + PAD, dtype=store.kind), np.zeros(TILE, dtype=store.kind)
@@ -48,19 +48,14 @@ class Root:
 
     def gathered(self) -> None:
         """Accept the newly assembled panel; it is factored when needed, unchanged or after `update`."""
-        self._is_unsymmetric, self._made_up, self.is_factored = False, 0, False
+        self._is_unsymmetric, self.made_up, self.is_factored = False, 0, False
         if len(self._unfactored):
             self._unfactored[:] = self.panel
 
     def factor(self) -> None:
         """Factor the front as assembled, unless it is already factored."""
         if not self.is_factored:
-            self._made_up, self.is_factored = self._factor(), True
-
-    @property
-    def made_up(self) -> int:
-        """Number of perturbed pivots."""
-        return self._made_up
+            self.made_up, self.is_factored = self._factor(), True
 
     def _factor(self) -> int:
         made_up = self.top.factor(self.front, self.panel)
@@ -80,7 +75,7 @@ class Root:
         self._is_unsymmetric = False
         if addition is None:
             self.panel[:] = self._unfactored
-            self._made_up, self.is_factored = self._factor(), True
+            self.made_up, self.is_factored = self._factor(), True
             return
         if addition.shape != (self.n, self.n):
             raise ValueError(f"{self.n} equations in the root, not {addition.shape}")
@@ -101,7 +96,7 @@ class Root:
             raise singular("an entry is not finite")
         small = np.flatnonzero(np.abs(pivots) < self.store.tiny)
         self._lu.matrix[small, small] = self.store.tiny
-        self._made_up, self._is_unsymmetric, self.is_factored = len(small), True, True
+        self.made_up, self._is_unsymmetric, self.is_factored = len(small), True, True
 
     @property
     def is_kept(self) -> bool:

@@ -62,41 +62,34 @@ def _in_pieces(builder, n, body):  # type: ignore[no-untyped-def]
         lanes //= 2
 
 
-@intrinsic
-def add(typingctx, target, to, source, at, n):  # type: ignore[no-untyped-def]
-    """target[to : to + n] += source[at : at + n]; the two must not overlap."""
-    i = types.intp
-
+def _adding(scaled):  # type: ignore[no-untyped-def]
     def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
         into = _start(context, builder, signature.args[0], args[0], args[1])
         given = _start(context, builder, signature.args[2], args[2], args[3])
 
         def body(k, lanes):  # type: ignore[no-untyped-def]
-            total = builder.fadd(_load(builder, into, k, lanes), _load(builder, given, k, lanes))
+            total, more = (_load(builder, each, k, lanes) for each in (into, given))
+            if scaled:
+                total = plus_product(builder, total, _everywhere(builder, args[4], lanes), more)
+            else:
+                total = builder.fadd(total, more)
             _store(builder, total, into, k, lanes)
 
-        _in_pieces(builder, args[4], body)
+        _in_pieces(builder, args[-1], body)
         return context.get_dummy_value()
 
-    return types.void(target, i, source, i, i), codegen
+    return codegen
+
+
+@intrinsic
+def add(typingctx, target, to, source, at, n):  # type: ignore[no-untyped-def]
+    """target[to : to + n] += source[at : at + n]; the two must not overlap."""
+    i = types.intp
+    return types.void(target, i, source, i, i), _adding(scaled=False)
 
 
 @intrinsic
 def add_scaled(typingctx, target, to, source, at, factor, n):  # type: ignore[no-untyped-def]
     """target[to : to + n] += factor source[at : at + n]; the two must not overlap."""
     i = types.intp
-
-    def codegen(context, builder, signature, args):  # type: ignore[no-untyped-def]
-        into = _start(context, builder, signature.args[0], args[0], args[1])
-        given = _start(context, builder, signature.args[2], args[2], args[3])
-
-        def body(k, lanes):  # type: ignore[no-untyped-def]
-            total = _load(builder, into, k, lanes)
-            many = _everywhere(builder, args[4], lanes)
-            total = plus_product(builder, total, many, _load(builder, given, k, lanes))
-            _store(builder, total, into, k, lanes)
-
-        _in_pieces(builder, args[5], body)
-        return context.get_dummy_value()
-
-    return types.void(target, i, source, i, source.dtype, i), codegen
+    return types.void(target, i, source, i, source.dtype, i), _adding(scaled=True)
