@@ -16,8 +16,8 @@ if TYPE_CHECKING:
     from limbcli.case import Case
 
 _FROM_SKIN = ("rectifications_mm", "all_mm", "transition_mm", "brim_mm", "flare_mm")
-# mm, outward at the brim. Chosen: skin that bulges over a smaller one slides off the end of the wall, where it
-# loses its traction at once
+# mm, outward at the brim. Chosen: skin that bulges over a smaller one slides off the end of the wall, where
+# it loses its traction at once
 _FLARE = 10.0
 _rectification = schema.number(-20.0, 20.0, "mm")
 _FEWEST = 3  # landmarks that determine a pose
