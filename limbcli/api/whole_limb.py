@@ -198,7 +198,7 @@ def socket(
             "slower.",
             SOCKET_PENALTY,
         ),
-    ] = 200.0,
+    ] = 100.0,
     penetration_mm: Annotated[
         float,
         Option(

@@ -16,9 +16,6 @@ if TYPE_CHECKING:
     from limbcli.case import Case
 
 _FROM_SKIN = ("rectifications_mm", "all_mm", "transition_mm", "brim_mm", "flare_mm")
-# mm, outward at the brim. Chosen: skin that bulges over a smaller one slides off the end of the wall, where
-# it loses its traction at once
-_FLARE = 10.0
 _rectification = schema.number(-20.0, 20.0, "mm")
 _FEWEST = 3  # landmarks that determine a pose
 # Tables of any keys within [socket] as JSON Schemas, by key.
@@ -120,7 +117,7 @@ def read_socket(raw: Mapping[str, Any], reading: CaseReading) -> SocketInput | N
         all_mm=float(values["all_mm"] or 0.0),
         transition=15.0 if transition is None else float(transition),
         brim=None if brim is None else float(brim),
-        flare=_FLARE if flare is None else float(flare),
+        flare=3.0 if flare is None else float(flare),
         friction=float(values["friction"]),
         friction_deviation=float(values["friction_deviation"]),
         loads=tuple(float(each) for each in values["loads_n"]),

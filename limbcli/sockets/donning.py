@@ -82,7 +82,7 @@ class DonningOptions:
     sign: float = 1.0
     donning_steps: int = 10
     load_steps: int = 5
-    penalty: float = 200.0
+    penalty: float = 100.0
     penetration_mm: float | None = None
     search_radius_mm: float = 30.0
     skin: str = "skin"

@@ -14,6 +14,10 @@ from limbcli.model import Array, IntArray
 
 # No published table of rectifications has been read in full: the skin's own shape is what is chosen.
 CHOSEN = "no rectification was given: the socket has the shape of the skin (0 mm everywhere, chosen)"
+# The wall above a flared brim: how far it goes on, and the radius with which it rolls outward, as a trim line
+# is rounded. Chosen. Skin that bulges over the brim leaves it by and by: off the end of a wall it loses its
+# traction at once, and no equilibrium may be left.
+_LIP_MM, _LIP_RADIUS_MM = 10.0, 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -24,7 +28,8 @@ class Rectification:
     all_mm : of the whole skin, mm; positive: into the limb
     transition_mm : width of the transition around a patch
     brim_mm : height, along the direction towards the tip, at which the socket begins; None: whole skin
-    flare_mm : outward, at the brim, as a trim line is flared; falls to 0 over `flare_width_mm` below it
+    flare_mm : outward, at the brim, as a trim line is flared; falls to 0 over `flare_width_mm` below it. If
+        it is not 0, the wall goes on above the brim and rolls outward (`_LIP_MM`)
     """
 
     patches_mm: Mapping[str, float]
@@ -87,10 +92,13 @@ def rectified(
         t = np.clip((skin.points @ toward_tip - table.brim_mm) / table.flare_width_mm, 0.0, 1.0)
         inside = t * t * (3.0 - 2.0 * t)
         amount = inside * amount - (1.0 - inside) * table.flare_mm
+        above = np.clip(table.brim_mm - skin.points @ toward_tip, 0.0, None)
+        amount -= above**2 / (2.0 * _LIP_RADIUS_MM)
     moved = Triangles(skin.points - amount[:, None] * skin.point_normals, skin.faces)
     kept = np.ones(len(skin.faces), dtype=bool)
     if table.brim_mm is not None:
-        kept = (skin.points @ toward_tip)[skin.faces].min(axis=1) >= table.brim_mm
+        end = table.brim_mm - (_LIP_MM if table.flare_mm else 0.0)
+        kept = (skin.points @ toward_tip)[skin.faces].min(axis=1) >= end
         if not kept.any():
             raise CaseError(
                 f"no skin lies beyond the brim at {table.brim_mm:g} mm",
