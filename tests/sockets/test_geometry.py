@@ -248,12 +248,11 @@ def test_the_brim_is_flared_and_the_rest_is_not() -> None:
     plain = Rectification(patches_mm={}, all_mm=1.0, brim_mm=-100.0)
     flared = replace(plain, flare_mm=3.0, flare_width_mm=20.0)
     faces = [rectified(skin, {}, table, DOWN) for table in (plain, flared)]
-    plain_face, flared_face = faces
     low = [face.points[face.points[:, 2] < 75.0] for face in faces]
     np.testing.assert_array_equal(*low)
     # above the brim the wall goes on for up to 10 mm and rolls outward with a radius of 6 mm
     used = np.unique(skin.faces[(skin.points[:, 2] <= 110.0)[skin.faces].all(axis=1)])
     z = skin.points[used, 2]
     assert z.max() > 105.0
-    moved = np.linalg.norm(flared_face.points - skin.points[used], axis=1)[z > 100.0]
+    moved = np.linalg.norm(faces[1].points - skin.points[used], axis=1)[z > 100.0]
     np.testing.assert_allclose(moved, 3.0 + (z[z > 100.0] - 100.0) ** 2 / 12.0, rtol=1e-9)
