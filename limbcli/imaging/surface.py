@@ -114,12 +114,7 @@ def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def remeshed(surface: Triangles, *, edge: float) -> Triangles:
-    """Remesh with nearly equilateral triangles of about `edge` mm; sharp edges (over 40 degrees) are kept.
-
-    Every round ends with a projection onto the given surface. MeshLab's own limit on how far a local change
-    may leave it (1 % of the body's diagonal, about an edge) is off: it takes half of the time, and the
-    distances between both surfaces are the same without it.
-    """
+    """Remesh with nearly equilateral triangles of about `edge` mm; sharp edges (over 40 degrees) are kept."""
     pymeshlab = open_pymeshlab()
 
     meshes = pymeshlab.MeshSet(verbose=False)
@@ -127,11 +122,7 @@ def remeshed(surface: Triangles, *, edge: float) -> Triangles:
     meshes.add_mesh(pymeshlab.Mesh(surface.points - centre, surface.faces.astype(np.int32)))
     meshes.meshing_merge_close_vertices(threshold=pymeshlab.PureValue(1e-3 * edge))
     meshes.meshing_isotropic_explicit_remeshing(
-        iterations=4,
-        targetlen=pymeshlab.PureValue(edge),
-        featuredeg=40.0,
-        adaptive=False,
-        checksurfdist=False,
+        iterations=4, targetlen=pymeshlab.PureValue(edge), featuredeg=40.0, adaptive=False
     )
     meshes.meshing_remove_duplicate_vertices()
     meshes.meshing_remove_null_faces()
