@@ -142,6 +142,8 @@ class ReferenceSession:
     ) -> SessionResult:
         """Solve the model, or `model2` with the same mesh, contact and supports.
 
+        Parameters
+        ----------
         model2 : variant in materials, load curves, steps and records; None: the session's current model
         wrt : (material, parameter) pairs to differentiate by, such as ("tissue", "c1"); ("tissue", "m1-m2")
             increases m1 and decreases m2 together
