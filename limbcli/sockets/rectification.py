@@ -17,7 +17,7 @@ CHOSEN = "no rectification was given: the socket has the shape of the skin (0 mm
 # The wall above a flared brim: how far it goes on, and the radius with which it rolls outward, as a trim line
 # is rounded. Chosen. Skin that bulges over the brim leaves it by and by: off the end of a wall it loses its
 # traction at once, and no equilibrium may be left.
-_LIP_MM, _LIP_RADIUS_MM = 10.0, 6.0
+LIP_MM, _LIP_RADIUS_MM = 10.0, 6.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,7 +29,7 @@ class Rectification:
     transition_mm : width of the transition around a patch
     brim_mm : height, along the direction towards the tip, at which the socket begins; None: whole skin
     flare_mm : outward, at the brim, as a trim line is flared; falls to 0 over `flare_width_mm` below it. If
-        it is not 0, the wall goes on above the brim and rolls outward (`_LIP_MM`)
+        it is not 0, the wall goes on above the brim and rolls outward (`LIP_MM`)
     """
 
     patches_mm: Mapping[str, float]
@@ -97,7 +97,7 @@ def rectified(
     moved = Triangles(skin.points - amount[:, None] * skin.point_normals, skin.faces)
     kept = np.ones(len(skin.faces), dtype=bool)
     if table.brim_mm is not None:
-        end = table.brim_mm - (_LIP_MM if table.flare_mm else 0.0)
+        end = table.brim_mm - (LIP_MM if table.flare_mm else 0.0)
         kept = (skin.points @ toward_tip)[skin.faces].min(axis=1) >= end
         if not kept.any():
             raise CaseError(

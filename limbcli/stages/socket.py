@@ -261,8 +261,8 @@ def _report(
         if state.penetration_mm > max(_SOFT_MM, _SOFT * together.fit.deepest_mm):
             writer.warnings.append(
                 f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the "
-                "contact allows: pressures are too low there; give a smaller --penetration-mm, or raise "
-                "--contact-penalty"
+                "contact allows: pressures are too low there; raise --contact-penalty, or give a (smaller) "
+                "--penetration-mm"
             )
 
 

@@ -171,6 +171,18 @@ def test_a_case_without_a_socket_or_a_limb_says_so(tmp_path: Path):
 
 
 @pytest.mark.slow
+def test_the_lip_above_a_brim_is_not_taken_for_a_socket_at_the_cut(limb_made, tmp_path: Path):
+    model = load_model(limb_made[1] / "limb" / "model.npz")
+    usual = replace(with_surface(stump()["skin"], tmp_path / "skin.ply"), surface=None, all_mm=0.5, flare=3.0)
+    told = []
+    for brim in (None, float(model.info["frame"]["length_mm"]) - 12.0):
+        writer = SimpleNamespace(warnings=[])
+        put_together(model, replace(usual, brim=brim), writer)
+        told.append(any("of the proximal cut" in each for each in writer.warnings))
+    assert told == [False, True]
+
+
+@pytest.mark.slow
 def test_a_socket_around_the_limb_is_taken(limb_made, tmp_path: Path):
     found = together(limb_made, sleeve(grow=0.5), tmp_path / "socket.ply")
     inward = np.einsum("ij,ij->i", found.face.area_vectors, np.array([0.0, 0.0, 60.0]) - found.face.centroids)

@@ -28,7 +28,7 @@ from limbcli.sockets.checks import (
 from limbcli.sockets.inner_face import inner_face
 from limbcli.sockets.knee import KneeLoad, check_knee, knee_centre
 from limbcli.sockets.liner import LINER, Liner, grown, with_liner
-from limbcli.sockets.rectification import Rectification, rectified
+from limbcli.sockets.rectification import LIP_MM, Rectification, rectified
 
 TO_TIP = np.array([0.0, 0.0, -1.0])
 PATCH, _LANDMARK, _TIBIA = "patch_", "landmark_", "bone_tibia"
@@ -108,7 +108,8 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
     where = "[socket]" if given.surface is None else str(given.surface)
     check_around(face, line, where=where)
     fit = clearance(face, outside, line, where=where)
-    _warn_at_cut(limb, face, writer)
+    lip = LIP_MM if given.surface is None and given.flare else 0.0
+    _warn_at_cut(limb, face, lip, writer)
     touching = "skin"
     if given.liner is not None:
         if given.surface is not None:
@@ -237,9 +238,10 @@ def _pairs(limb: LimbModel, given: Mapping[str, tuple[float, float, float]]) -> 
     return np.array(list(given.values())), np.array([known[name] for name in given])
 
 
-def _warn_at_cut(limb: LimbModel, face: Triangles, writer: StageWriter) -> None:
+def _warn_at_cut(limb: LimbModel, face: Triangles, lip: float, writer: StageWriter) -> None:
+    """lip : height of the part above the brim that rolls outward, mm"""
     held = limb.mesh.points[limb.mesh.node_sets[HELD], 2] if HELD in limb.mesh.node_sets else np.zeros(0)
-    if len(held) and face.points[:, 2].max() > held.min() - _NEAR_CUT_MM:
+    if len(held) and face.points[:, 2].max() - lip > held.min() - _NEAR_CUT_MM:
         writer.warnings.append(
             f"the socket comes within {_NEAR_CUT_MM:g} mm of the proximal cut, where the limb is held: "
             "pressures there are those of the cut, not of the limb"
