@@ -97,7 +97,7 @@ class UnpackingBudget:
     def part(self, package: zipfile.ZipFile, name: str) -> bytes:
         """One part of a ZIP file.
 
-        Raises KeyError, OSError, zipfile.BadZipFile or and others of `DAMAGED` if it is missing, corrupt, or
+        Raises KeyError, OSError, zipfile.BadZipFile or others of `DAMAGED` if it is missing, corrupt, or
         more than the budget.
         """
         self.spend(package.getinfo(name).file_size)
@@ -107,7 +107,7 @@ class UnpackingBudget:
 def read_npz(path: Path, *, budget: UnpackingBudget | None = None) -> dict[str, NDArray[Any]]:
     """All arrays of a `.npz` file; arrays of objects, which hold code, are refused.
 
-    Raises One of `DAMAGED` if it is corrupt, or unpacks to more than the budget.
+    Raises one of `DAMAGED` if it is corrupt, or unpacks to more than the budget.
     """
     with zipfile.ZipFile(path) as packed:
         (budget or UnpackingBudget()).spend(sum(each.file_size for each in packed.infolist()))
