@@ -23,11 +23,12 @@ _OF = {
     "probe_travel": (LENGTH_UNITS_IN_MM, "length_unit", "mm"),
     **{f"accel_{axis}": (ACCELERATION_UNITS_IN_G, "", "g") for axis in "xyz"},
 }
-# what testing machines call them, of columns that state a unit
+# what testing machines and loggers call them, of columns that state a unit or hold times of day
 _ALSO_CALLED = {
-    "time": "elapsed_time test_time running_time zeit pr\u00fcfzeit",
+    "time": "elapsed_time test_time running_time timestamp time_stamp datetime date_time date/time zeit "
+    "pr\u00fcfzeit temps tiempo tempo tijd",
     "force": "load axial_force axial_load standard_force compressive_force compressive_load kraft "
-    "standardkraft",
+    "standardkraft fuerza forza kracht",
 }
 _IN_BRACKETS = re.compile(r"[\(\[\{]\s*([^()\[\]{}]*?)\s*[\)\]\}]")
 _AT_THE_END = re.compile(r"^(.+?)\s*(?:[/,]|_|\bin\b)\s*([^\s/,_]+)$", re.IGNORECASE)

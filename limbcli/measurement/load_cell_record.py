@@ -42,9 +42,14 @@ from limbcli.model import Array
 
 _UNLOADED = 0.1  # share of the largest force below which a probe is taken as free
 # a time of day, or since the start, with or without its date and time zone
-_CLOCK = re.compile(r"(?:(\d{4}-\d\d-\d\d)[T ])?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)(?:Z|[+-]\d\d:?\d\d)?")
+_CLOCK = re.compile(
+    r"(?:(\d{1,4}([-./])\d\d?\2\d{1,4})(?:T|,? ))?(\d{1,2}):(\d\d):(\d\d(?:[.,]\d+)?)"
+    r"(?: ?([AP]M)|Z|[+-]\d\d:?\d\d)?",
+    re.IGNORECASE,
+)
 _DAY_S = 86_400.0
 _THOUSANDS = re.compile(r"[+-]?[1-9]\d{0,2}(,\d{3})+")
+_NAMED = 4  # so many columns that are not read are named
 _AVERAGED_HZ = 1000.0  # rate to which records are averaged that are faster than plausible ones
 COLUMNS = (*TRACE_REQUIRED, *TRACE_OPTIONAL)
 
@@ -112,6 +117,7 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
     if _pulls(values["force_n"]) and "accel_x_g" not in values:
         values["force_n"] = -values["force_n"]
         words.append("its forces are negative: taken as compression, and counted as positive")
+    words.append(_passed_over(sheet, positions))
     told = "; ".join(each for each in words if each)
     return Trace.of(values, path, converted=told)
 
@@ -142,6 +148,18 @@ def _converted(sheet: Sheet, positions: Mapping[str, int], form: RecordingFormat
         and (word := stated_word(sheet.header[k := positions[name]], name, sheet.unit(k), given)) is not None
     ]
     return f"units as the record states them: {', '.join(named)}" if named else ""
+
+
+def _passed_over(sheet: Sheet, positions: Mapping[str, int]) -> str:
+    """Columns of lengths that are not read, in words: "Extension (mm)" may be a depth, or the probe's travel."""
+    titles = [
+        repr(title[:40])
+        for k, title in enumerate(sheet.header)
+        if k not in positions.values()
+        and is_unit(sheet.unit(k) or stated_unit(title, "depth_mm")[1], "depth_mm")
+    ]
+    told = f"not read: {', '.join(titles[:_NAMED])}; state it in columns if it is depth_mm or probe_travel_mm"
+    return told if titles else ""
 
 
 def _sheet(path: Path, form: RecordingFormat) -> Sheet:
@@ -295,23 +313,38 @@ def _in_clock(sheet: Sheet, position: int) -> bool:
 
 
 def _seconds(rows: list[list[str]], position: int, path: Path) -> Array:
-    """Times of day since the first of them, s; they may pass midnight."""
-    values = np.empty(len(rows))
+    """Times of day since the first of them, s; they may pass midnight.
+
+    Of a date that does not begin with the year, day and month may be in either order: it tells only that a
+    day is another than the one before, which must be the next.
+    """
+    values, dates = np.empty(len(rows)), []
     for k, row in enumerate(rows):
         text = cell(row, position)
         found = _CLOCK.fullmatch(text)
         try:
-            day, hours, minutes, seconds = found.groups()  # type: ignore[union-attr]
-            days = date.fromisoformat(day).toordinal() if day else 0
+            day, mark, hour, minutes, seconds, half = found.groups()  # type: ignore[union-attr]
+            is_known = mark and day.index(mark) == 4
+            days = date(*map(int, day.split(mark))).toordinal() if is_known else 0
         except (AttributeError, ValueError):
             raise MeasurementError(
                 f"time_s is {shown(text)}; the first row has a time of day",
                 where=f"{path}, row {k + 1} below the header",
                 fix="write all times alike: hours:minutes:seconds, also after year-month-day, or seconds",
             ) from None
-        values[k] = 60 * (60 * (24 * days + int(hours)) + int(minutes)) + float(seconds.replace(",", "."))
-    midnights = np.cumsum(np.diff(values, prepend=values[:1]) < -_DAY_S / 2)
-    return values + _DAY_S * midnights - values[0]
+        hours = int(hour) % 12 + 12 * (half.upper() == "PM") if half else int(hour)
+        values[k] = 60 * (60 * (24 * days + hours) + int(minutes)) + float(seconds.replace(",", "."))
+        dates.append(day if not is_known else "")
+    is_midnight = np.diff(values, prepend=values[:1]) < -_DAY_S / 2
+    for k in range(1, len(rows)):
+        if dates[k] != dates[k - 1] and not is_midnight[k]:
+            raise MeasurementError(
+                f"the date changes from {shown(dates[k - 1] or '')} to {shown(dates[k] or '')}, and the time "
+                "does not pass midnight",
+                where=f"{path}, row {k + 1} below the header",
+                fix="give a record of one measurement; or write dates as year-month-day",
+            )
+    return values + _DAY_S * np.cumsum(is_midnight) - values[0]
 
 
 def _require_no_thousands(sheet: Sheet, position: int, name: str, path: Path) -> None:

@@ -164,6 +164,9 @@ def test_wrong_record_is_refused_with_a_fix(tmp_path, text, form, expected):
         ("23:59:59,5", "00:00:00,0", "0:00:00,25"),
         ("2024-02-29T23:59:59.5", "2024-03-01 00:00:00.0", "2024-03-01 00:00:00.250"),
         ("2024-03-01T10:59:59.5+01:00", "2024-03-01T11:00:00+01:00", "2024-03-01T11:00:00.25+01:00"),
+        ("29.02.2024 23:59:59,5", "01.03.2024 00:00:00,0", "01.03.2024 0:00:00,25"),
+        ("3/1/2024 11:59:59.5 AM", "3/1/2024 12:00:00.0 PM", "3/1/2024 12:00:00.25 pm"),
+        ("2024/02/29 23:59:59.5", "2024/03/01 00:00:00", "2024/3/1 00:00:00.25"),
     ],
 )
 def test_times_of_day_count_from_the_first(tmp_path, times):
@@ -176,6 +179,22 @@ def test_times_of_day_count_from_the_first(tmp_path, times):
     with pytest.raises(MeasurementError, match="first row has a time of day") as found:
         read_recording(path)
     assert "write all times alike" in found.value.fix
+
+
+def test_a_date_whose_order_is_unknown_may_only_change_at_midnight(tmp_path):
+    path = tmp_path / "cell.csv"
+    path.write_text("Timestamp,Force (N)\n01.03.2024 12:00:00,0\n03.03.2024 12:00:01,1\n")
+    with pytest.raises(MeasurementError, match=r"changes from '01.03.2024' to '03.03.2024'") as found:
+        read_recording(path)
+    assert "year-month-day" in found.value.fix
+
+
+def test_a_column_of_lengths_that_is_not_read_is_told(tmp_path):
+    path = tmp_path / "cell.csv"
+    path.write_text("Time (s),Extension (mm),Load (N),Note\n0,0,0,a\n0.1,1,1,b\n")
+    assert "not read: 'Extension (mm)'" in read_recording(path).converted
+    named = read_recording(path, RecordingFormat(columns={"depth_mm": "Extension"}))
+    assert named.depth is not None and "not read" not in named.converted
 
 
 @pytest.mark.parametrize(
