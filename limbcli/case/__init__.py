@@ -225,6 +225,9 @@ def _read_toml(folder: Path) -> tuple[dict[str, Any] | None, list[Problem]]:
 
 
 def _read_sites(tables: object, reading: CaseReading, imaging: Imaging) -> list[Site]:
+    if isinstance(tables, dict):
+        reading.wrong("[site] is a single table, but sites are a list", "write [[site]], with two brackets")
+        return []
     if not isinstance(tables, list) or not tables:
         fix = "add a [[site]] (see the case format); only `segment`, `limb --c-kpa` and `socket` need none"
         reading.wrong("case.toml has no site", fix)

@@ -47,7 +47,7 @@ def read_imaging(parts: Mapping[str, Mapping[str, Any]], reading: CaseReading, *
         what = f"imaging.mri: {mri.name!r} is neither a folder nor a volume in a supported format"
         fix = (
             "give a folder with one DICOM series, a multi-frame DICOM file, or a file that ends in "
-            f"{', '.join(schema.VOLUME_ENDINGS)}"
+            f"{', '.join(schema.VOLUME_ENDINGS)}; unpack an archive; of PAR/REC, dcm2niix makes a NIfTI file"
         )
         reading.wrong(what, fix)
     bones = [

@@ -17,6 +17,7 @@ from pydicom.datadict import dictionary_description, tag_for_keyword
 from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
+from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.files.dicom import has_preamble, read_dicom
 from limbcli.imaging.dicom_identity import one_body, public_name
@@ -39,12 +40,14 @@ _NAMED = 4  # so many files or values a message names
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # with more distinct series UIDs than this fraction of the images, the UIDs are uninformative
 _DOUBLED = 0.05  # slices closer than this fraction of the slice spacing are duplicates
-# tags that tell apart echoes, the images of Dixon's method, time points and diffusion weightings
+# tags that tell apart echoes, the images of Dixon's method, time points and diffusion weightings; of a series
+# and of the frames of one file
 _OF_CONTRAST = (
     "ImageType", "EchoNumbers", "EchoTime", "InversionTime", "TemporalPositionIdentifier", "DiffusionBValue",
-    "AcquisitionNumber",
+    "AcquisitionNumber", "FrameType", "EffectiveEchoTime", "TemporalPositionIndex", "StackID",
 )  # fmt: skip
 _MOST_CONTRASTS = 8
+_FEWEST = 3  # slices of a volume
 _PLAIN, _SHORT = str.maketrans("", "", "[]'"), 60  # of a tag's value as it is shown
 # this many gaps that differ by less than this fraction are a spacing of their own
 _RUN, _SAME_GAP = 3, 0.05
@@ -88,12 +91,20 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
             slices += slices_of(dataset, name)
         except DICOM_DAMAGED as error:
             raise damaged(name, error) from error
+    if len(slices) < _FEWEST:
+        raise CaseError(
+            f"the series has {len(slices)} image(s); a volume needs at least {_FEWEST}",
+            where=str(folder),
+            fix=f"give the folder with all of its slices: [imaging] mri names the file {folder.name} alone"
+            if folder.is_file()
+            else "put every slice of the series into the folder",
+        )
     _same_shape(slices, folder)
     normal = _common_normal(slices, folder)
     heights = np.array([each.position @ normal for each in slices])
     order = np.argsort(heights, kind="stable")
     slices, heights = [slices[n] for n in order], heights[order]
-    step = _slice_step(slices, heights, folder, differing=_differing(datasets))
+    step = _slice_step(slices, heights, folder, datasets)
     _plausible(slices[0], step, folder)
     volume, notes = stack(slices, heights, step)
     if turned_over(datasets[0][1]):
@@ -146,10 +157,15 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
             where=str(folder),
             fix="export the images again, not only their headers or a DICOMDIR",
         )
+    volumes = [
+        path.relative_to(folder).as_posix() for path in paths if path.name.lower().endswith(VOLUME_ENDINGS)
+    ]
     raise CaseError(
         f"there is no DICOM file among the {len(paths)} files" if paths else "the folder is still empty",
         where=str(folder),
-        fix="put the files of one DICOM series there; [imaging] mri gives the folder",
+        fix=f"name the file itself in [imaging] mri: the folder holds {_some(volumes)}"
+        if volumes
+        else "put the files of one DICOM series there; [imaging] mri gives the folder",
     )
 
 
@@ -206,12 +222,6 @@ def _kind(dataset: Dataset) -> tuple[str, ...]:
 
 
 def _same_shape(slices: list[Slice], folder: Path) -> None:
-    if len(slices) < 3:
-        raise CaseError(
-            f"the series has {len(slices)} image(s); a volume needs at least 3",
-            where=str(folder),
-            fix="put every slice of the series into the folder",
-        )
     kinds = [(each.pixels.shape, tuple(np.round(each.pixel_spacing, 4))) for each in slices]
     if len(set(kinds)) > 1:
         ((usual, _),) = Counter(kinds).most_common(1)
@@ -242,25 +252,43 @@ def _common_normal(slices: list[Slice], folder: Path) -> Array:
     return first.normal
 
 
-def _differing(datasets: list[tuple[str, Dataset]]) -> str:
-    """By what several images of one position can be told apart, in words; empty if by nothing known."""
-    for keyword in _OF_CONTRAST:
-        found = Counter(
-            str(dataset.get(keyword, "none")).translate(_PLAIN)[:_SHORT] for _, dataset in datasets
+def _separately(datasets: list[tuple[str, Dataset]]) -> str:
+    """What to do about several images of one position, and by what these can be told apart, if known."""
+    fix = "remove the duplicate files; several echoes, contrasts or time points must be separate folders"
+    if len(datasets) == 1:
+        fix = (
+            "the file holds several echoes, contrasts or time points: dcm2niix makes a NIfTI file of each; "
+            "give one of these"
         )
+    images = [image for _, dataset in datasets for image in _described(dataset)]
+    for keyword in _OF_CONTRAST:
+        found = Counter(str(each.get(keyword, "none")).translate(_PLAIN)[:_SHORT] for each in images)
         if 1 < len(found) <= _MOST_CONTRASTS:
             tag = tag_for_keyword(keyword) or 0
             listed = ", ".join(f"{value} ({count} images)" for value, count in found.most_common())
             name = f"{dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
-            return f"; these differ in {name}: {listed}"
-    return ""
+            return f"{fix}; these differ in {name}: {listed}"
+    return fix
 
 
-def _slice_step(slices: list[Slice], heights: Array, folder: Path, *, differing: str) -> float:
-    """The usual slice spacing; duplicate and missing slices are errors.
+def _described(dataset: Dataset) -> list[Dataset]:
+    """What is said of each image in a file: of every frame, if they have groups of their own."""
+    frames = []
+    try:
+        for groups in dataset.get("PerFrameFunctionalGroupsSequence", ()):
+            frames.append(Dataset())
+            for each in groups:
+                if each.VR == "SQ" and len(each.value):
+                    frames[-1].update(each.value[0])
+    except DICOM_DAMAGED:
+        return [dataset]
+    return frames or [dataset]
 
-    differing : by what the images differ, to be added to the advice
-    """
+
+def _slice_step(
+    slices: list[Slice], heights: Array, folder: Path, datasets: list[tuple[str, Dataset]]
+) -> float:
+    """The usual slice spacing; duplicate and missing slices are errors."""
     gaps = np.diff(heights)
     step = float(np.median(gaps))
     if step <= 0 or (gaps < _DOUBLED * max(step, 1e-6)).any():
@@ -269,8 +297,7 @@ def _slice_step(slices: list[Slice], heights: Array, folder: Path, *, differing:
         raise CaseError(
             f"{len(pairs)} slices lie at the same position as another: {_some(named)}",
             where=str(folder),
-            fix="remove the duplicate files; several echoes, contrasts or time points must be separate "
-            f"folders{differing}",
+            fix=_separately(datasets),
             n_doubled=len(pairs),
         )
     wide = np.flatnonzero(gaps > _MISSING * step)

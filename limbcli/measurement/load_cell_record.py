@@ -151,7 +151,7 @@ def _converted(sheet: Sheet, positions: Mapping[str, int], form: RecordingFormat
 
 
 def _passed_over(sheet: Sheet, positions: Mapping[str, int]) -> str:
-    """Columns of lengths that are not read, in words: "Extension (mm)" may be a depth, or the probe's travel."""
+    """Columns of lengths that are not read, in words: "Extension (mm)" may be a depth or a travel."""
     titles = [
         repr(title[:40])
         for k, title in enumerate(sheet.header)

@@ -97,7 +97,7 @@ def test_unknown_key_suggests_the_nearest(folder: Path):
         ('name = "p1"', f'name = "{"p" * 101}"', "101 letters long"),
         ('id = "S1"', "id = 7", "not text"),
         ("[probe]", "[prob]", "unknown key 'prob'"),
-        ("[[site]]", "[site]", "no site"),
+        ("[[site]]", "[site]", "[site] is a single table"),
         ("format = 1", "format = 1\nformat = 1", "not valid TOML"),
         (
             "length_mm = 53.0",

@@ -178,6 +178,14 @@ def test_no_dicom_at_all_and_no_folder_are_told(tmp_path):
     (tmp_path / "notes.txt").write_text("no image here")
     assert "no DICOM" in refused(tmp_path).what
     assert "does not exist" in refused(tmp_path / "absent").what
+    (tmp_path / "anat").mkdir()
+    (tmp_path / "anat" / "leg_T1w.nii.gz").write_bytes(b"")
+    assert "the folder holds anat/leg_T1w.nii.gz" in refused(tmp_path).fix
+
+
+def test_one_file_of_a_series_stands_for_its_folder(ramp, tmp_path):
+    first = write_dicom(tmp_path, ramp)[0]
+    assert f"names the file {first.name} alone" in refused(first).fix
 
 
 def test_slices_that_are_not_parallel_are_told(ramp, tmp_path):
@@ -479,6 +487,29 @@ def test_an_enhanced_multi_frame_file_is_read(ramp, tmp_path):
         series = read_image(path)
         assert np.array_equal(series.volume.values, 2 * ramp.values + 1)
         np.testing.assert_allclose(series.volume.affine, ramp.affine, atol=1e-6)
+
+
+def test_contrasts_of_one_enhanced_file_are_told_apart(ramp, tmp_path):
+    """There is nothing to move to another folder; what differs stands in the groups of the frames."""
+    path = tmp_path / "all.dcm"
+    enhanced(path, ramp)
+    dataset = pydicom.dcmread(path)
+    groups, pixels = dataset.PerFrameFunctionalGroupsSequence, dataset.PixelData
+    both = []
+    for kind in ("WATER", "FAT"):
+        for each in groups:
+            frame = pydicom.Dataset()
+            frame.update(each)
+            frame.MRImageFrameTypeSequence = [pydicom.Dataset()]
+            frame.MRImageFrameTypeSequence[0].FrameType = ["DERIVED", "PRIMARY", "DIXON", kind]
+            both.append(frame)
+    dataset.PerFrameFunctionalGroupsSequence = both
+    dataset.PixelData, dataset.NumberOfFrames = 2 * pixels, len(both)
+    dataset.save_as(path)
+    fix = refused(path).fix
+    assert "dcm2niix" in fix
+    n = ramp.shape[2]
+    assert f"Frame Type (0008,9007): DERIVED, PRIMARY, DIXON, WATER ({n} images)" in fix
 
 
 def test_frames_without_places_are_told(ramp, tmp_path):
