@@ -158,7 +158,8 @@ def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) ->
 
 def _impossible(columns: Mapping[str, Sequence[Any]], folder: Path) -> list[Problem]:
     """Impossible values of what was followed on B-mode images."""
-    fix = "what was followed is not the bone: state bone_mm as a list, its depth in every image"
+    fix = "what was followed is not the bone: state bone_mm as a list, its depth in every image; or the "
+    fix += "names of the images are not in the order measured"
     return [replace(each, fix=fix) for each in check_values(columns, folder)]
 
 

@@ -74,6 +74,23 @@ def test_images_follow_the_numbers_in_their_names(tmp_path: Path):
     assert [int(each.rgb[0, 0, 0]) for each in images] == list(range(12))
 
 
+def test_a_resized_picture_has_not_the_scale_that_is_stated_for_all(tmp_path: Path):
+    whole = Image.fromarray(np.full((200, 300, 3), 9, np.uint8))
+    for k, picture in enumerate((whole, whole.crop((0, 0, 300, 170)))):  # cut off below: the same scale
+        picture.save(tmp_path / f"{k}.png")
+    assert len(images_of({"path": tmp_path, "mm_per_pixel": 0.1})) == 2
+    whole.resize((270, 180)).save(tmp_path / "2.png")
+    with pytest.raises(MeasurementError, match="270 by 180 pixels, the first 300 by 200: it was resized"):
+        images_of({"path": tmp_path, "mm_per_pixel": 0.1})
+
+
+def test_a_film_is_told_from_an_empty_folder(tmp_path: Path):
+    (tmp_path / "press.mp4").write_bytes(b"film")
+    with pytest.raises(MeasurementError) as caught:
+        images_of({"path": tmp_path, "mm_per_pixel": 0.1})
+    assert "press.mp4 is a film: save the frame of every hold as PNG" in caught.value.fix
+
+
 def test_dicom_images_need_no_ending(tmp_path: Path):
     for k in range(3):
         stored(tmp_path / f"IM_{k}", screen().tobytes())

@@ -22,6 +22,7 @@ from limbcli.provenance.staleness import Chain
 from limbcli.results import StageWriter
 
 _IMAGE_SUFFIXES = {".png", ".bmp", ".dcm", ".dicom", ".jpg", ".jpeg", ".tif", ".tiff"}
+_FILM_SUFFIXES = {".mp4", ".avi", ".mov", ".wmv", ".mkv", ".mpg", ".mpeg", ".gif"}
 _MANY_SATURATED = 10.0  # % of saturated pixels in the tissue above which a warning is given
 _SAME_SCALE = 0.02  # largest difference of a stated scale from that of the files that is not told
 _MANY_UNLIKE = 0.2  # share of coloured pixels that match no colour of the bar above which a warning is given
@@ -84,6 +85,9 @@ def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> lis
     paths = sorted(filter(_is_image, folder.iterdir()), key=lambda each: _by_numbers(each.name))
     if not paths:
         fix = "put one image per level there, named in the order measured (DICOM, PNG, BMP)"
+        films = sorted(each.name for each in folder.iterdir() if each.suffix.lower() in _FILM_SUFFIXES)
+        if films:
+            fix += f"; {films[0]} is a film: save the frame of every hold as PNG, in its full size"
         raise MeasurementError("the folder contains no image", where=str(folder), fix=fix)
     frame = table.get("frame")
     frames = list(frame) if isinstance(frame, list) else [frame] * len(paths)
@@ -94,10 +98,32 @@ def images_of(table: Mapping[str, Any], *, box_pixels: Box | None = None) -> lis
             where=str(folder),
             fix="state one per image, or keep only the file that contains all frames",
         )
-    return [
+    images = [
         read_image(path, mm_per_pixel=table["mm_per_pixel"], box_pixels=box_pixels, frame=number)
         for path, number in zip(files, frames, strict=True)
     ]
+    if table["mm_per_pixel"] is not None:
+        _require_one_size(images)
+    return images
+
+
+def _require_one_size(images: Sequence[UltrasoundImage]) -> None:
+    """Check that no picture has been resized, as one stated scale cannot be that of both sizes.
+
+    A picture of which parts were cut off differs in one direction, or not by the same factor.
+    """
+    rows, columns = images[0].rgb.shape[:2]
+    for each in images:
+        if each.replaced_mm_per_pixel is not None:
+            continue
+        down, across = each.rgb.shape[0] / rows, each.rgb.shape[1] / columns
+        if abs(down - 1) > _SAME_SCALE and abs(down / across - 1) < _SAME_SCALE / 2:
+            raise MeasurementError(
+                f"the picture has {each.rgb.shape[1]} by {each.rgb.shape[0]} pixels, the first {columns} by "
+                f"{rows}: it was resized, so that one mm_per_pixel is not true of both",
+                where=each.where,
+                fix="export all pictures in one size, and take mm_per_pixel from the depth scale of one",
+            )
 
 
 def scale_warnings(images: Sequence[UltrasoundImage], stated: float | None) -> list[str]:
