@@ -46,7 +46,7 @@ def write_diagnosed(
         )
         return
     fitted = found.final
-    curves, reading = forward_model.predictions.curves_of(fitted, number)
+    curves, reading = forward_model.curves_of(fitted, number)
     depth = true_depth(curves, mine.curves.site.protocol.depth, reading)
     # the probe travels further than the tissue is indented, by the support's compliance
     travel = np.unique(np.round(depth + reading.compliance * force_at(curves, depth), 3))
@@ -58,10 +58,10 @@ def write_diagnosed(
     penalty = float(built) if isinstance(built, int | float) else USUAL_PENALTY
     model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
     model = with_penalty(model, penalty)
-    theta = forward_model.predictions.theta(fitted.values, fitted.explanation, number)
+    theta = forward_model.theta(fitted.values, fitted.explanation, number)
     added = []
-    for name, point in forward_model.predictions.model_of(fitted):
-        each = forward_model.predictions.effects[name]
+    for name, point in forward_model.model_of(fitted):
+        each = forward_model.effects[name]
         added.append((each, {**each.null, **theta, **each.without_onset(point)}))
         if point.get(each.onset, 0.0) > 0.0:
             writer.warnings.append(

@@ -17,10 +17,9 @@ import numpy as np
 from limbcli.config import available_cores, shares
 from limbcli.errors import SolveError
 from limbcli.files.temporary_folders import scratch_folder
-from limbcli.fitting.kept_solves import NOTHING_KEPT, KeptForces, KeptSolves
+from limbcli.fitting.kept_solves import NOTHING_KEPT, CheckSolver, KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.model_checks import ChangedBoundary
-from limbcli.fitting.solve_again import CheckSolver
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
 from limbcli.model import Array, ElementMap, LimbModel

@@ -10,7 +10,7 @@ import numpy as np
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.fitting.exports import parameter_rows, write_exports, write_table
-from limbcli.fitting.fibre_uncertainty import write_moduli
+from limbcli.fitting.fibres import write_moduli
 from limbcli.fitting.joint_picture import draw_joint
 from limbcli.fitting.laws import FIBRE_F_KAPPA, LOCKING, FitLaw
 from limbcli.inference.adaptive import Intervals

@@ -9,7 +9,7 @@ import numpy as np
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import SolveError
-from limbcli.fitting.fibre_uncertainty import mean_fibre
+from limbcli.fitting.fibres import mean_fibre
 from limbcli.fitting.laws import FitLaw
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import Prediction

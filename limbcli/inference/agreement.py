@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import bdtr, chdtr, chdtrc
 
-from limbcli.inference.residual import root_mean_square
+from limbcli.inference.prediction import root_mean_square
 from limbcli.model import Array
 from limbcli.numbers.significant_digits import short
 

@@ -10,8 +10,8 @@ from scipy.special import ndtri
 
 from limbcli.inference.least_squares import Fit
 from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Objective, Residual
 from limbcli.inference.profile import best_of, walk
-from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import THRESHOLD_95
 
@@ -33,25 +33,16 @@ class DerivedInterval:
     open_high: bool
 
 
-@dataclass(frozen=True)
-class SearchRange:
-    """Values of a quantity that are searched, in its unit; pace : step of the walk outwards."""
-
-    low: float
-    high: float
-    pace: float
-
-
 def derived_interval(
     objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float],
-    search: SearchRange, *, scale: float = 1.0, threshold: float = THRESHOLD_95,
+    low: float, high: float, pace: float, *, scale: float = 1.0, threshold: float = THRESHOLD_95,
 ) -> DerivedInterval:  # fmt: skip
-    """Interval of the values of `quantity` that the data do not exclude, within the range of the search.
+    """Interval of the values of `quantity`, between low and high, that the data do not exclude.
 
     The quantity is constrained to values increasingly far from its best-fit value while all parameters are
     refitted; the constraint is a penalty residual that does not enter the deviance.
 
-    objective : residuals in standard deviations
+    objective : residuals in standard deviations; pace : step of the walk outwards
     quantity : theta -> a number that varies smoothly with ln theta
     scale : the deviance is divided by it
     threshold : deviance at the ends of the interval (`threshold_95` where the noise may be larger than
@@ -59,7 +50,6 @@ def derived_interval(
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87, for a function of the parameters.
     """
-    low, high, pace = search.low, search.high, search.pace
     value = float(np.clip(quantity(best.theta), low, high))
 
     def at(target: float, guess: Array) -> tuple[float, Array]:

@@ -10,7 +10,7 @@ from scipy import optimize
 
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.parameter import FitParameter, natural, normalised, slopes
-from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.prediction import Objective, Residual
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 

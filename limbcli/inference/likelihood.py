@@ -16,12 +16,11 @@ from functools import cached_property
 
 import numpy as np
 
-from limbcli.inference.emulator import Emulator
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.prediction import Prediction
-from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.prediction import Objective, Prediction, Residual
 from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, predict_site
+from limbcli.inference.surrogate import Emulator
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 

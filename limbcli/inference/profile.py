@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.least_squares import Fit, least_squares_fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.prediction import Objective, Residual
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import THRESHOLD_95
 

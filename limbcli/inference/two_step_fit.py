@@ -11,14 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import FitError
-from limbcli.inference.emulator import Emulator
 from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.identifiability import force_variance
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
 from limbcli.inference.monotone_interpolation import Sample, pchip_sample
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
-from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
-from limbcli.inference.residual import coefficient_of_determination, force_residual, root_mean_square
+from limbcli.inference.prediction import (
+    Prediction,
+    SolvedPoints,
+    coefficient_of_determination,
+    force_residual,
+    root_mean_square,
+    sampled,
+)
+from limbcli.inference.surrogate import Emulator
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 

@@ -24,7 +24,7 @@ from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.fitting.geometry import site_geometry_uncertainty, write_geometry
-from limbcli.fitting.kept_solves import KeptSolves
+from limbcli.fitting.kept_solves import CheckSolver, KeptSolves, checked_levels
 from limbcli.fitting.layer_comparison import write_layers
 from limbcli.fitting.model_checks import (
     ChangedForces,
@@ -38,7 +38,6 @@ from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
 from limbcli.fitting.result import write_agreement, write_result, write_tissue_force, write_widening
-from limbcli.fitting.solve_again import CheckSolver, checked_levels
 from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.fitting.table import NAMES, Identified
 from limbcli.inference.adaptive import Intervals

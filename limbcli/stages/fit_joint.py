@@ -22,8 +22,8 @@ from limbcli.case import Case, Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.fitting.exports import write_mat_file
-from limbcli.fitting.fibre_rest_speed import rest_speed
-from limbcli.fitting.fibre_uncertainty import (
+from limbcli.fitting.fibres import (
+    rest_speed,
     stated_deviation,
     write_direction_uncertainty,
     write_orientations,
@@ -45,8 +45,7 @@ from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint_fit import JointProblem, JointTask, joint_fit
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.site_depth import RestSpeed, SiteMeasurement
-from limbcli.inference.site_layers import NO_LAYERS, LayerData
+from limbcli.inference.site_depth import NO_LAYERS, LayerData, RestSpeed, SiteMeasurement
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.speed_noise import mean_speed_deviation
 from limbcli.model import Array, LimbModel, Value

@@ -16,17 +16,17 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.fitting.exports import write_mat_file
-from limbcli.fitting.fitted_states import FittedStates
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.fitting.laws import FitLaw, first_shapes, law_named
+from limbcli.fitting.least_stiffness import FittedStates
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.fitting.states_result import write_states
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.joint_fit import JointProblem, JointTask, States, joint_fit
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states_fit import StatesProblem, StatesTask, states_fit
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
 from limbcli.model import Array, LimbModel
 from limbcli.progress import SILENT, Progress
@@ -99,6 +99,7 @@ def _fit_site(
         writer.warnings.append(NOT_ALLOWED_FOR)
     given = options.gain_deviation
     studied = None if given is not None else studied_error(case, site, out, writer)
+    gain = gain_deviation(model, given, studied=studied)
     c0 = _start_c(site, measured, plan)
     simulated = law.beside_layers() if beside else law
     curve = StateCurve(
@@ -107,9 +108,8 @@ def _fit_site(
     )  # fmt: skip
     try:
         problem, found = identify(
-            curve, law, plan, [state_data(site, model, each, curve.depths) for each in measured],
-            gain=gain_deviation(model, given, studied=studied), max_rounds=options.most_solves(_MOST_ROUNDS),
-            progress=progress,
+            curve, law, plan, [state_data(site, model, each, curve.depths, gain) for each in measured],
+            max_rounds=options.most_solves(_MOST_ROUNDS), progress=progress,
         )  # fmt: skip
         fit = FittedStates(site=site, law=law, plan=plan, curve=curve, problem=problem, found=found)
         write_states(fit, model, writer)
@@ -117,28 +117,29 @@ def _fit_site(
         curve.close()
 
 
-def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array) -> SiteMeasurement:
+def state_data(
+    site: Site, model: LimbModel, each: MeasuredState, depths: Array, gain: float = 0.0
+) -> SiteMeasurement:
     """A state's loading levels with their stated noise; depths : of the simulated levels (mm)."""
     taken = Measured(site=site, model=model, levels=each.levels, c=0.0)
-    return replace(site_data(taken, depths, None, speeds=True), name=each.state.name)
+    return replace(site_data(taken, depths, gain, speeds=True), name=each.state.name)
 
 
 def identify(
-    curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, gain: float,
-    max_rounds: int, progress: Progress = SILENT,
-) -> tuple[StatesProblem, Intervals]:  # fmt: skip
+    curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, max_rounds: int,
+    progress: Progress = SILENT,
+) -> tuple[JointProblem, Intervals]:  # fmt: skip
     """Run the first simulations, then the fit with its profile likelihoods.
 
     curve : of `law`, or of `law.beside_layers()` in a model with layers of fixed stiffness
     """
     memory = SolvedPoints(curve)
     first_simulations(memory, curve.law, plan, progress=progress)
-    task = StatesTask(
-        curve=memory, even_speed=curve.even_speed, data=data, offsets=plan.offsets, factors=plan.factors,
-        shape=law.shape, stretches=plan.parameters, c0=curve.c, gain_deviation=gain,
-        beside_layers=curve.law.has_ratio,
-    )  # fmt: skip
-    return states_fit(task, starts(curve.c, law, plan), max_rounds=max_rounds, progress=progress)
+    n, states = len(data), States(curve.even_speed, plan.offsets, plan.factors, plan.parameters)
+    task = JointTask(
+        [memory] * n, data, law.shape, curve.c, beside_layers=[curve.law.has_ratio] * n, states=states
+    )
+    return joint_fit(task, starts(curve.c, law, plan), max_solves=max_rounds, progress=progress)
 
 
 def first_simulations(

@@ -58,13 +58,6 @@ class NodeTable:
     density_kg_per_m3: float
     lines: Array | None = None
 
-    @staticmethod
-    def of(
-        model: LimbModel, windows: Windows, density_kg_per_m3: float, lines: Array | None = None
-    ) -> NodeTable:
-        nodes = np.unique(model.mesh.solid_blocks[0].cells)
-        return NodeTable(nodes, windows, density_kg_per_m3, lines)
-
     def records(self, model: LimbModel) -> tuple[LogRecord, ...]:
         """Required output of a simulation; for lines all tissue nodes, as effects may move the mesh under the
         beam."""
@@ -149,7 +142,8 @@ class SiteSimulations:
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
         lines = None if layers is None else np.asarray(layers.rest[: layers.n_counted])
-        self.table = NodeTable.of(model, windows, density_kg_per_m3, lines)
+        nodes = np.unique(model.mesh.solid_blocks[0].cells)
+        self.table = NodeTable(nodes, windows, density_kg_per_m3, lines)
         model = with_penalty(model, solving.penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.c, self.windows, self.depths = c, windows, [float(each) for each in depths]
         self.model = replace(model, records=(*model.records[:1], *self.table.records(model)))
@@ -183,10 +177,6 @@ class SiteSimulations:
             reach=Reach(enough=enough, enough_force=solver.reach.enough_force),
             solving=replace(solver.solving, penalty=penalty, beside=self),
         )  # fmt: skip
-
-    @property
-    def spent(self) -> bool:
-        return self.work.spent
 
     def close(self) -> None:
         self.solver.close()

@@ -12,10 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.rows import LAYER, TRAVEL_DEVIATION, SiteReadings, SiteRows, SmoothDepth, within
+from limbcli.diagnosis.data.windows import Windows, pitch_of
 from limbcli.diagnosis.explanations.noise import NoisePart, common, correlated, independent, of_groups
 from limbcli.effects.reading import Protocol
-from limbcli.measurement.map_noise import PixelNoise
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.map_noise import PixelNoise, pixel_noise
 from limbcli.model import Array, IntArray
 from limbcli.site_model.layer_readings import LayerReadings
 
@@ -103,6 +106,13 @@ class MapNoise:
     pitch: tuple[float, float]
     pixel: PixelNoise
     strain: Array
+
+    @staticmethod
+    def of(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
+        lateral, depth = (np.concatenate([getattr(m, name) for m in maps]) for name in ("lateral", "depth"))
+        size = (windows.right - windows.left) / windows.across, (windows.bottom - windows.top) / windows.down
+        pixel = pixel_noise(maps, usual=noise.swe_pixel_fraction)
+        return MapNoise(windows.middles, size, (pitch_of(lateral), pitch_of(depth)), pixel, strain)
 
     def of_pixels(self, rows: SiteRows, own: Array) -> Array:
         """Covariance (n, n) of the parts from pixel noise; own (n,) : standard deviations if the pixels were

@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.noise_parts import (
     GAIN_OF_SPEEDS,
     STRAIN,
@@ -27,13 +26,11 @@ from limbcli.diagnosis.data.rows import (
     SmoothDepth,
     measured_rows,
 )
-from limbcli.diagnosis.data.windows import Windows, pitch_of
+from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations.forward_model import Data, Mask
 from limbcli.diagnosis.explanations.noise import ASSUMED, Noise, NoisePart, common
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
-from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
 
 _STRAIN_STEP = 0.01  # relative step of the derivative with respect to all strains
@@ -213,7 +210,7 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
     smooth, rows = SmoothDepth.through(protocol), measured_rows(seen)
     slope = depth_slopes(protocol, rows, map_slopes=model.map_slopes, layers=seen.layers)
     strain = smooth.at(protocol.force) / model.thickness
-    of_maps = None if seen.maps is None else map_noise(windows, seen.maps, noise, strain)
+    of_maps = None if seen.maps is None else MapNoise.of(windows, seen.maps, noise, strain)
     parts = noise_parts(seen, rows, slope, maps=of_maps, model=model)
     data = Data(
         rows.y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
@@ -222,16 +219,6 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
         place=_place(rows, windows),
     )  # fmt: skip
     return SiteData(name=name, seen=seen, model=model, rows=rows, data=data, slope=slope)
-
-
-def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
-    """Noise of the parts of these maps; strain (n_levels,): depth over thickness."""
-    pitch = tuple(
-        pitch_of(np.concatenate([getattr(each, name) for each in maps])) for name in ("lateral", "depth")
-    )
-    size = (windows.right - windows.left) / windows.across, (windows.bottom - windows.top) / windows.down
-    pixel = pixel_noise(maps, usual=noise.swe_pixel_fraction)
-    return MapNoise(windows.middles, size, (pitch[0], pitch[1]), pixel, strain)
 
 
 def _groups(rows: SiteRows, protocol: Protocol, windows: Windows) -> dict[str, Mask]:
