@@ -62,9 +62,8 @@ def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
 class ReferenceCurve:
     """Forces at the levels and their exact derivatives, from one session of the reference solver.
 
-    `depths` (n_levels,) mm and `n_solves` are updated by each solve; `at_most`, the greatest number of
-    solves, is part of the progress events if it is set. What is `kept` from an earlier fit is counted in
-    `n_solves` and in `n_kept`, but not solved.
+    A solve updates `depths` (n_levels,) mm and `n_solves`, of which `n_kept` were `kept` by an earlier fit;
+    `at_most`, if set, is told in progress events.
     """
 
     def __init__(
@@ -142,11 +141,10 @@ _STALLED_WITH_FIBRES = 5e-4
 
 
 class LawCurve:
-    """Forces, mean wave speeds and layer borders at the levels for any law, as a function of its shape.
+    """Forces (n_levels,) N for any law as a function of its shape; then with `speeds` the mean speeds
+    (n_levels,) m/s, then with `lines` the lines' depths below the skin (mm), level by level.
 
-    Values are the forces (n_levels,) N, then with `speeds` the speeds (n_levels,) m/s, then with `lines` the
-    lines' depths below the skin (mm), level by level. Forces and lines have exact derivatives, speeds none.
-    `depths` (n_levels,) mm is set by a solve.
+    Forces and lines have exact derivatives, speeds none. `depths` (n_levels,) mm is set by a solve.
     """
 
     def __init__(

@@ -81,11 +81,8 @@ def site_geometry_uncertainty(
     case: Case, site: Site, out: Path, fitted: LimbModel, forces: Array, writer: StageWriter, *,
     progress: Progress = SILENT,
 ) -> GeometryUncertainty | None:  # fmt: skip
-    """The uncertainty due to a site's assumed geometry; None if imaged, or if no variation could be solved.
-
-    forces : (n_levels,) N of the fitted model at its levels
-
-    Results of an earlier fit are reused if model, parameters and geometry are the same.
+    """The uncertainty due to a site's assumed geometry, or what an earlier fit of the same model kept; None
+    if imaged, or if no variation could be solved. forces : (n_levels,) N of the fitted model
     """
     if not case.imaging.assumed:
         return None

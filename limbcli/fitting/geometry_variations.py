@@ -155,12 +155,10 @@ def _radial(points: Array, rod: Rod) -> Array:
 
 
 def with_second_bone(mesh: Mesh, rod: Rod) -> Mesh:
-    """The mesh with a second, thinner rod next to the first at equal depth: its nodes are fixed.
+    """The mesh with the nodes of a second, thinner rod at equal depth fixed, on the side with more nodes;
+    half-way where the tissue does not extend far enough.
 
-    If the tissue does not extend far enough, the rod lies half-way. It is placed on the side where it
-    contains more nodes of the tissue.
-
-    Raises MeshError if there is no room for the rod in the tissue, or the mesh is too coarse to resolve it.
+    Raises MeshError if there is no room for the rod, or the mesh is too coarse to resolve it.
     """
     radius, side = SECOND_RADIUS * rod.radius, np.cross(rod.axis, rod.towards)
     tissue = np.unique(np.concatenate([block.cells.ravel() for block in mesh.solid_blocks]))

@@ -103,11 +103,9 @@ _LEAST_CHECKED = 3
 
 
 def checked_levels(model: LimbModel) -> IntArray:
-    """Numbers of the levels at which a check solves a changed model: a third of many, at least three, among
-    them the first and the last; all where the load has several steps.
-
-    Between them what a contact or a boundary changes varies little: on the sites of `cases/` (4 to 12 levels)
-    an interpolation from three levels errs by 0.6 % of the force at most, by 0.1 % at the median.
+    """Numbers of the levels at which a check solves a changed model: a third, at least three, the first and
+    the last among them; all where the load has several steps. On the sites of `cases/` (4 to 12 levels) an
+    interpolation from three levels errs by 0.6 % of the force at most, by 0.1 % at the median.
     """
     n_levels = sum(len(step.must_points) for step in model.steps)
     n = n_levels if len(model.steps) > 1 else min(n_levels, max(_LEAST_CHECKED, n_levels // 3 + 1))
@@ -118,12 +116,10 @@ def checked_levels(model: LimbModel) -> IntArray:
 class CheckSolver:
     """How a fitted model that was changed for a check is solved again.
 
-    like : a session that has solved the model before the change; its levels are the initial guesses of this
-        solve. The solve ends at the first level not reached quickly from there, as a comparison does not need
-        every level
-    levels : the levels of the model before the change, as initial guesses of a solve of all levels
-    rows : numbers of the levels to solve (`checked_levels`); None: all
-    kept : where the forces of such a solve are kept for a later fit
+    like : a session that solved the model before; this solve begins there and ends at the first level that it
+        does not reach quickly
+    levels : of the model before, as initial guesses of a solve of all levels; rows : those to solve
+        (`checked_levels`), None: all; kept : where the forces of such a solve are kept for a later fit
     """
 
     like: ReferenceSession | None = None

@@ -125,10 +125,8 @@ def layers_figure(
 ) -> Figure:
     """Left: depth of each border below the probe; right: measured minus predicted thickness.
 
-    force : (n_levels,) N
-    names : of the layers, from the skin inwards
-    measured, predicted : (n_levels, n_layers) mm; measured is NaN where not read
-    deviation : standard deviation of a thickness (mm)
+    force : (n_levels,) N; measured, predicted : (n_levels, n_layers) mm, from the skin inwards, measured NaN
+        where not read; deviation : mm
     """
     with style():
         figure = new_figure(7.6, 4.3)

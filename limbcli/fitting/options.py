@@ -85,11 +85,8 @@ def check_choice(
     objective: str, options: FitOptions, *, compare_element: bool = False, solver: str = "auto",
     febio: Path | None = None,
 ) -> None:  # fmt: skip
-    """Check that these options are compatible.
-
-    Raises CaseError if the objective is unknown, if FEBio is requested for a fit that only the reference
-    solver supports, or a stiffness map for a fit with a single c, or if an option has no effect on the
-    requested fit.
+    """Raise CaseError if the objective is unknown, FEBio is asked of a fit that only the reference solver
+    supports, or an option has no effect on the requested fit.
     """
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"

@@ -79,10 +79,8 @@ def plan_of(
     given: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
     states: Sequence[str], *, where: str = "the case",
 ) -> StretchPlan:  # fmt: skip
-    """The plan for these given stretches.
-
-    given : by way, the stretch of every state, None if unknown; ways that are left out are not stretched
-    known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
+    """The plan for these given stretches: by way, that of every state, None if unknown; ways left out are not
+    stretched. known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
 
     Raises CaseError if the states do not differ, or give stretches too far apart to be searched.
     """

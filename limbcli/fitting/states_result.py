@@ -178,11 +178,9 @@ class StateReading:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StatesPanel:
-    """One direction of stretch.
+    """One direction of stretch, counted on the scale of the "case" or from "unloaded".
 
-    counted : scale of the stretch: "case", that of the case, or "unloaded"
-    stretch, speed : (n,) curve of the fitted law
-    unloaded : the stretch at which the tissue is unloaded
+    stretch, speed : (n,) curve of the fitted law; unloaded : the stretch at which the tissue is unloaded
     lowest : stretch of minimum speed with its 95 % ends; None if the data do not determine it
     """
 

@@ -67,12 +67,10 @@ class TissueMap:
 
 
 def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
-    """c(x) = 2 rho v0(x)^2 at the centre of every tissue element, from the site's level-0 map.
+    """c(x) = 2 rho v0(x)^2 at the centre of every tissue element, from the map of the level in this row.
 
-    row : row of the level in levels.csv, which is also the number of its map
-
-    Raises CaseError if the site has no maps; MeasurementError if the map of level 0 is missing, faulty, too
-    small, or outside the model; MeshError if the tissue is not a single block.
+    Raises CaseError if the site has no maps; MeasurementError if that map is missing, faulty, too small, or
+    outside the model; MeshError if the tissue is not a single block.
     """
     swe = _level_0(site, row)
     raise_errors(check_width(swe, probe_length(model)), MeasurementError)
@@ -237,10 +235,7 @@ class Stiffnesses:
 
 
 def stiffness_at(swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0) -> Stiffnesses:
-    """c at points of a site's model.
-
-    swe : the map of level 0, lateral along the model's x, depth along -z, mm
-    points : (n_points, 3) mm, frame of the site's model
+    """c (MPa) at points (n_points, 3) mm of a site's model, from its map of level 0.
 
     Raises MeasurementError if the map has fewer than a dozen pixels or they are collinear.
     """

@@ -129,12 +129,9 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
 
 
 def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: Array, held: Array) -> float:
-    """Factor by which the noise's variance exceeds the stated one: that of the intervals, else by residuals.
-
-    columns (n, p) : sensitivities
-    held (n, k) : N, effect of one standard deviation of each quantity held fixed
-
-    The residuals are compared with those expected of an unweighted fit from the noise and these errors.
+    """Factor by which the noise's variance exceeds the stated one: that of the intervals, else by the
+    residuals over those that an unweighted fit leaves of the noise and of `held` (n, k), N, one deviation of
+    each quantity held fixed. columns (n, p) : sensitivities
     """
     if found.intervals:
         return found.intervals[found.place(step)].scale

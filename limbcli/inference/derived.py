@@ -37,16 +37,11 @@ def derived_interval(
     objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float],
     low: float, high: float, pace: float, *, scale: float = 1.0, threshold: float = THRESHOLD_95,
 ) -> DerivedInterval:  # fmt: skip
-    """Interval of the values of `quantity`, between low and high, that the data do not exclude.
+    """Interval of the values of `quantity` (of theta, smooth in ln theta), between low and high, that the
+    data do not exclude: it is held ever farther from its best-fit value, by steps of `pace`, with all
+    parameters refitted. The penalty that holds it does not enter the deviance.
 
-    The quantity is constrained to values increasingly far from its best-fit value while all parameters are
-    refitted; the constraint is a penalty residual that does not enter the deviance.
-
-    objective : residuals in standard deviations; pace : step of the walk outwards
-    quantity : theta -> a number that varies smoothly with ln theta
-    scale : the deviance is divided by it
-    threshold : deviance at the ends of the interval (`threshold_95` where the noise may be larger than
-        stated)
+    objective : residuals in standard deviations; scale, threshold : as of `profile_likelihood`
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87, for a function of the parameters.
     """

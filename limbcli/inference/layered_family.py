@@ -2,10 +2,11 @@
 microseconds, from reference-solver results shipped with the package.
 
 For each reading it is a polynomial of second or third degree in the family's coordinates and the strain,
-whichever has the smaller cross-validation error, added to the trend of springs in series. It is fitted to the
-values of the solves and to their exact derivatives by the tissue parameters. Its error is the
-cross-validation error of each reading over members left out of the fit; the tests check it with held-out
-members of another sequence.
+whichever has the smaller cross-validation error, added to the trend of springs in series; it is fitted to the
+solves' values and to their derivatives by the tissue. Its error is that of members left out.
+
+The file of solves is made by tests/benchmarks/cohort_family.py with the reference solver (0.1.0) and the mesh
+of `tests/benchmarks/layered_member.py`; its members are a scrambled Sobol sequence.
 """
 
 from __future__ import annotations
@@ -113,11 +114,8 @@ def shares_of(x: Array) -> Array:
 
 
 def trend(shares: Array, log_ratio: Array) -> tuple[Array, Array]:
-    """Trend of the readings (..., n, 4), the layers taken as springs in series, and its derivative by ln
-    ratio.
-
-    shares (n, 3), log_ratio (..., n). The polynomials represent the difference between the solves and this
-    trend.
+    """Trend of the readings (..., n, 4), the layers as springs in series, and its derivative by ln ratio;
+    shares (n, 3), log_ratio (..., n).
     """
     soft = shares[:, 1] * np.exp(-log_ratio)
     whole = shares[:, 0] / SKIN_RATIO + soft + shares[:, 2]

@@ -269,10 +269,8 @@ class Likelihood:
         return max(each.distance(theta) for each in self.blocks)
 
     def solve(self, theta: Array) -> None:
-        """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those
-        that are too uncertain, or else the farthest from any solved point.
-
-        Raises SolveError if the model cannot be solved there.
+        """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those that
+        are too uncertain, or else the farthest from any solved point. Raises SolveError if that fails.
         """
         for emulator in dict.fromkeys(each.emulator for each in self.blocks):
             own = [each for each in self.blocks if each.emulator is emulator]

@@ -78,12 +78,9 @@ class Population:
 
     @property
     def deviation_interval(self) -> tuple[Array, Array]:
-        """95 % interval of the standard deviations: low, high (p,).
-
-        The upper end uses chi-square with the number of degrees of freedom that corresponds to the standard
-        error, but at least the number of rows that the prior weighs as much as. The lower end uses the
-        Gaussian error itself, because below the prior's deviation it is the prior that keeps the spread from
-        falling.
+        """95 % interval of the standard deviations: low, high (p,). Above by chi-square, with the degrees of
+        freedom of the standard error, or as many as the prior's rows; below by the Gaussian error, as there
+        the prior keeps the spread from falling.
         """
         free = np.maximum(0.5 * (self.deviation / self.deviation_error) ** 2, _PRIOR_ROWS)
         low = self.deviation - ndtri(_HIGH) * self.deviation_error

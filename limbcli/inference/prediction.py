@@ -62,11 +62,9 @@ ParallelMap = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
 class Differences:
     """Adds forward-difference derivatives to a curve that has none.
 
-    evaluate : theta -> values (n,)
-    upper : (n_parameters,) upper bounds; where a step would cross one, or the shifted set cannot be solved,
-        the step is taken downwards
-    relative_step : step relative to each parameter. It must be large compared with the solver's tolerance:
-        FEBio's forces are accurate to about 1e-3, so the step is large and the derivative a secant.
+    upper : (n_parameters,) bounds; where a step would cross one, or the shifted set cannot be solved, it is
+        taken downwards
+    relative_step : large compared with the solver's tolerance (FEBio's forces are accurate to about 1e-3)
     run_all : a `map` function; a parallel one evaluates the shifted sets at the same time
     """
 
@@ -160,12 +158,9 @@ class SolvedPoints:
 def sampled(
     curve: PredictedCurve, knots: Array, depths: Array, *, free: Sequence[int], fixed: Array
 ) -> Predictor:
-    """Force at measured depths as a function of some of the curve's parameters.
-
-    The curve's forces at `knots` (increasing, > 0), with the origin added, are interpolated at `depths` by
-    PCHIP; before first touch (depth < 0) the force is 0.
-
-    free : indices of the parameters that theta holds; `fixed` (n_parameters,) gives the others
+    """Force at measured depths as a function of the `free` ones of the curve's parameters; fixed
+    (n_parameters,) gives the others. The forces at `knots` and the origin are interpolated by PCHIP; before
+    first touch they are 0.
     """
     places, columns = np.maximum(depths, 0.0), list(free)
 

@@ -49,10 +49,8 @@ class Stiffness:
         return float(np.hypot(self.log_deviation, self.gain_deviation))
 
     def nuisances(self) -> list[tuple[FitParameter, float]]:
-        """Nuisance parameters that scale the forces, each with the standard deviation of its logarithm.
-
-        This is c, with the mesh error included in it; where layers have a fixed stiffness, c and then the
-        mesh's gain.
+        """Nuisance parameters that scale the forces, each with the standard deviation of its logarithm: c,
+        with the mesh error in it; where layers have a fixed stiffness, c and then the mesh's gain.
         """
         if self.share is None:
             return [_around("c", self.c, self.force_deviation)]

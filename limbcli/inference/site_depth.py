@@ -1,7 +1,7 @@
-"""Depth and wave speed of a site at given force from its simulated curves, with derivatives.
+"""Depth, wave speeds and layers of a site at given force from its simulated curves, with derivatives.
 
-Force is controlled and depth is the noisy reading, so the residual is a depth: the measured depth minus the
-depth at which the simulation reaches the measured force.
+Force is controlled and depth is the noisy reading, so the residual is a depth. A layer's border is a material
+line whose depth below the skin is simulated at the knots; a thickness lies between two borders.
 """
 
 from __future__ import annotations
@@ -59,10 +59,8 @@ class LayerData:
     ) -> tuple[Array, Array]:
         """Thickness (n,) mm and its derivatives (n, 2 + n_shape) by ln c, ln gain, ln shape.
 
-        knots : (n_knots,) mm from 0
-        borders, borders_by : mm below the skin, of all borders at the second knot, at the third, ..., and
-            derivatives by ln shape ((n_knots - 1) n_borders, n_shape)
-        at, at_by : (n,) simulated depths of the readings' forces (mm), and derivatives (n, 2 + n_shape)
+        borders : mm below the skin, of all borders at the second of the knots (mm, from 0), at the third,
+            ...; at : (n,) simulated depths of the readings' forces (mm); each with its derivatives
         """
         n, n_shape = len(self.rest), borders_by.shape[1]
         if not len(self):

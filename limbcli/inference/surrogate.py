@@ -217,10 +217,8 @@ _LEAST = 1e-12  # lower limit of a value before its logarithm is taken
 
 
 class Emulator:
-    """theta -> values, with the interface of the curve itself, and the standard deviation of each value.
-
-    Outputs whose derivatives the curve provides are interpolated with these derivatives, the others (wave
-    speeds) without. Call `refresh` after each solve.
+    """The surrogate with the interface of its curve, and the standard deviation of each value; `refresh`
+    after each solve. Outputs without derivatives (wave speeds) are interpolated without them.
     """
 
     def __init__(self, curve: SolvedPoints):

@@ -200,10 +200,8 @@ def _intervals(
     match: CurveMatch, known: Sequence[Stiffness], steps: Sequence[FittedStep], *, modes: Array | None = None,
     max_solves: int, progress: Progress,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
-    """Profile-likelihood intervals of both steps.
-
-    known : c and its uncertainty at each step; max_solves : greatest number of additional simulations
-    modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
+    """Profile-likelihood intervals of both steps; known : c and its uncertainty at each, modes : changes of
+    ln force by uncertain geometry and boundaries, to be included
     """
     match.curve.expect(max_solves + _FIRST_SOLVES)
     full = force_intervals(
@@ -237,10 +235,8 @@ def _tissue_c(
 
 
 def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
-    """Read the model that build-feb wrote for this site, after checking that its inputs are unchanged.
-
-    label : prefix for the recorded names of the inputs and for warnings about the levels, where several
-        sites are used
+    """Read the model that build-feb wrote for this site, after checking that its inputs are unchanged; label
+    : names the site in what is recorded, where several are used
     """
     prefix = f"{label}/" if label else ""
     built = Chain(case, out).result("build-feb", site=site.name)
