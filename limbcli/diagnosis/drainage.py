@@ -1,8 +1,8 @@
 """Drainage of fluid from a site's tissue, from held indentations simulated by FEBio.
 
 Each run is a fast ramp, and a hold while the biphasic tissue drains. Permeability times c is 1 mm^2/s, so
-that the simulated time in s equals k c t in mm^2; the largest time step grows with the time since the ramp,
-every third of a decade. Runs at a few depths give a site's drainage; they are cached.
+that the simulated time in s equals k c t in mm^2. Runs at a few depths give a site's drainage; they are
+cached.
 """
 
 from __future__ import annotations
@@ -63,10 +63,8 @@ class DrainageSolver:
 
     @staticmethod
     def chosen(kind: str, febio: Path | None) -> DrainageSolver | None:
-        """The solver for `kind` ("auto", "febio", ...) and a binary; None unless it is FEBio, as the
-        reference solver cannot simulate drainage.
-
-        Raises CaseError or ToolError as `solvers.choose`.
+        """FEBio, if that is what `solvers.choose` gives (whose errors it raises), as only it simulates
+        drainage.
         """
         solver = choose(kind, febio)
         named = kind == FebioSolver.name
@@ -77,10 +75,8 @@ def drained(
     solver: DrainageSolver, held: HeldForces | None, simulations: SiteSimulations, *, deepest: float,
     keep: Path, notes: Notes, progress: Progress,
 ) -> Effect:  # fmt: skip
-    """Poroelasticity with a site's drainage, from simulations of the working mesh at fractions of the depth
-    `deepest` (mm).
-
-    keep : cache folder of the simulations; notes : get the facts on these
+    """Poroelasticity with a site's drainage, from simulations at fractions of the depth `deepest` (mm), kept
+    in the folder `keep`; facts on these go to the notes.
 
     Raises LimbError if there are no holds in which the force falls, or too few simulations succeed.
     """
@@ -178,8 +174,7 @@ class _Runs:
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
-    """The completed holds; SolveError if there are fewer than two: drainage at one depth does not determine
-    that at others."""
+    """The completed holds; SolveError if there are fewer than two, which do not determine other depths."""
     holds = [each.hold for each in found if each.hold is not None]
     if len(holds) >= _LEAST_DEPTHS:
         return holds

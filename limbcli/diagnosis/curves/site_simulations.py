@@ -90,10 +90,8 @@ class NodeTable:
         self, solve: Solve, kinematics: SolvedDeformation, *, in_window: LimbModel,
         stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
     ) -> Curves:  # fmt: skip
-        """Curves down to the level reached.
-
-        in_window : the model used for the wave speeds, without `stiffness`; stiffness : fields that multiply
-        its stiffnesses; without : see `strain_concentrations`
+        """Curves down to the level reached; in_window : the model used for the wave speeds, whose stiffnesses
+        the fields `stiffness` multiply; without : see `strain_concentrations`
         """
         density = self.density_kg_per_m3
         concentrations = strain_concentrations(
@@ -122,15 +120,11 @@ class SiteSimulations:
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
     reach : how far to simulate. Where the solver stops short of the depth needed, but beyond enough of it,
         curves are extrapolated along those of a stiffer law, or of the model without effects
-    c : MPa, the reference stiffness; keep : cache folder of solved curves
-    layers : whose borders to track, but for the one at the bone
-
-    Attributes
-    ----------
-    model : without effects; depths, needed : mm, of the levels, and to be reached; few : of the depths, those
-        at which models with effects are solved; work : of the solves
-    n_solves : of this run, including failed ones
-    in_part : label of a model -> mm reached by the solver, where less than needed
+    c : MPa, the reference stiffness; keep : cache folder; layers : whose borders to track, but for that at
+        the bone
+    few : of the depths, those at which models with effects are solved; n_solves : of this run, with failed
+        ones
+    in_part : label of a model -> mm reached by the solver, where less than the depth `needed`
     """
 
     def __init__(
@@ -210,10 +204,8 @@ class SiteSimulations:
         return self._kinematics[key]
 
     def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]:
-        """First-order change of ln force (n,) and ln speed (n, n_parts) by effects of the law.
-
-        Evaluated at the deformation solved without them, so that no simulation is needed. The change of force
-        at depth 0 is set to that of the first level.
+        """First-order change of ln force (n,) and ln speed (n, n_parts) by effects of the law, at the
+        deformation solved without them; that of force at depth 0 is set to that of the first level.
 
         Raises SolveError if the force at fixed deformation changes by more than `_MOST_CHANGE` times.
         """

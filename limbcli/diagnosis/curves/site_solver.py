@@ -45,10 +45,8 @@ _STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the u
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SiteModels:
-    """A site's model for any exponent m and effects.
-
-    usual : the model without effects; c : MPa, and f_kappa, of its tissue
-    fingerprint : hash of what else the curves depend on
+    """A site's model for any exponent m and effects, from the `usual` one without; c : MPa, and f_kappa, of
+    its tissue; fingerprint : hash of what else the curves depend on
     """
 
     usual: LimbModel
@@ -91,10 +89,8 @@ def fingerprint(
     model: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float, windows: Windows,
     enough_force: float | None, lines: Array | None, density_kg_per_m3: float,
 ) -> str:  # fmt: skip
-    """Hash of a site's simulations without effects.
-
-    It covers mesh, contact, depths, tissue and its density, the window and the version of its evaluation, the
-    force at which simulations end, the tracked lines, and the program version.
+    """Hash of a site's simulations without effects: of all that their curves depend on, and of the versions
+    of the program and of the evaluation of speeds.
     """
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     digest.update(f"limbcli {__version__}, read {_READING}".encode())
@@ -142,13 +138,11 @@ class SolvedCurves:
 
 
 class SiteSolver:
-    """Solver of one site's models.
+    """Solver of one site's models. Those that differ from the usual one in their materials only share a
+    session.
 
-    Models that differ from the usual one in their materials only share a session. Levels of the model without
-    effects are initial guesses for all; those of the last solve with the same effects, for a fit's repeated
-    solves.
-
-    times : s, of the load steps, by depth in mm
+    Levels of the model without effects are initial guesses for all; those of the last solve with the same
+    effects, for a fit's repeated solves. times : s, of the load steps, by depth in mm
     """
 
     def __init__(

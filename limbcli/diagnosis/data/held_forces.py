@@ -100,10 +100,9 @@ def fall(force: Array, windows: IntArray) -> Array:
 
 
 def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
-    """Force ratios of the holds of a record, or None and the reason why there are none.
-
-    Without a recorded depth, the holds are matched to the levels and used only if the force
-    falls in them: a constant force may have been regulated by hand.
+    """Force ratios of the holds of a record, or None and the reason why there are none. Without a recorded
+    depth, holds are matched to the levels and must show a falling force, as a constant one may have been
+    regulated.
     """
     time = np.arange(trace.time[0], trace.time[-1], STEP_S)
     if len(time) * STEP_S < _LEAST_HOLD_S:
@@ -217,12 +216,9 @@ def _with_next(windows: IntArray) -> NDArray[np.bool_]:
 
 
 def _covariance(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> Array:
-    """Covariance (n_features, n_features) of the ln force ratios.
-
-    From the scatter of the force samples, that of the depth samples times the stiffness, and the floor. Two
-    successive ratios share a window.
-
-    moving : the recorded depth on the grid; movement within a hold adds to the uncertainty
+    """Covariance (n_features, n_features) of the ln force ratios, of which two successive ones share a
+    window: scatter of the force samples, of the depth samples and of movement (`moving`, the recorded depth
+    on the grid) times the stiffness, and the floor.
     """
     rate = 1.0 / float(np.median(np.diff(trace.time)))
     samples = np.maximum((windows[:, :, 1] - windows[:, :, 0]) * STEP_S * rate, 1.0)

@@ -79,11 +79,10 @@ class ModelError:
 class KnownErrors:
     """What is known of how far a site's model is off.
 
-    errors : for all rows of the level table; map_share : factor on the usual model error in maps
-    map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
-    thickness : mm, skin to bone
-    bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
-    misplaces both
+    errors : for all rows of the level table; map_share : factor on the usual model error in maps; map_slopes
+        : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth; thickness : mm, skin to bone
+    bone_as_shown : the models' bone is where the image showed it, so that a wrong speed of sound misplaces
+        both
     """
 
     errors: Sequence[ModelError] = ()
@@ -151,10 +150,9 @@ class MapNoise:
 def maps_model_error(
     middles: Array, part: IntArray, strain: Array, level: IntArray, *, share: float = 1.0
 ) -> Array:
-    """Covariance (n, n) of ln speeds in parts of maps from the model error.
-
-    middles (n_parts, 2) : mm, lateral and below the face; part, level (n,) : indices of each datum
-    strain (n,) : depth over thickness; share : factor on its usual size
+    """Covariance (n, n) of ln speeds in parts (n,) of maps at levels (n,) from the model error; middles
+    (n_parts, 2) : mm, lateral and below the face; strain (n,) : depth over thickness; share : on its usual
+    size
     """
     x, z = middles[part].T
     size = _BELOW_FACE * (_EVERYWHERE + np.exp(-(z - middles[:, 1].min()) / _FADES_MM))
@@ -244,10 +242,8 @@ def depth_slopes(
     layers: LayerReadings | None = None,
 ) -> Array:  # fmt: skip
     """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
-    maps from a model, `map_slopes` (n_levels, n_parts), where given.
-
-    Depth and speeds are fitted as functions of the force, which has little error: regression over a depth
-    with errors would underestimate steep slopes. Layers thin linearly in ln(1 + F/unit) of the smooth depth.
+    maps from a model, `map_slopes`, where given. Depth and speeds are fitted as functions of the force, which
+    has little error; layers thin linearly in ln(1 + F/unit) of the smooth depth.
     """
     out = np.zeros(len(rows))
     smooth = SmoothDepth.through(protocol)

@@ -79,11 +79,9 @@ class SiteData:
         return replace(self, data=replace(self.data, noise=self.data.noise.with_share(name, share)))
 
     def with_strain_of(self, curves: Curves, reading: Reading) -> SiteData:
-        """The data with the error common to all strains along the derivative of these curves.
-
-        Its size is unchanged. The slopes of smooth curves through the readings, from which it was first
-        computed, differ from a model's by up to a tenth: in many parts of maps, a common factor of all depths
-        would be found by that difference.
+        """The data with the error common to all strains along the derivative of these curves, of unchanged
+        size. The slopes of smooth curves through the readings, by which it was first computed, differ from a
+        model's by up to a tenth: many parts of maps would find a factor of all depths by that.
         """
         part = next((each for each in self.data.noise.parts if each.name == STRAIN), None)
         by_depth = self.slope * self.protocol.depth[self._levels]
@@ -134,11 +132,10 @@ class SiteData:
 
     @cached_property
     def _to_smooth(self) -> Array:
-        """Distance (n_levels,) in mm from the depth read to that of a smooth curve through the readings.
-
-        At the depths as they were read, maps of a tissue whose speeds rise steeply would be off by more than
-        the noise model allows for, and a fit would find less of what makes them steep: guided waves in thin
-        tissue of half their size. Limited as `_further`; 0 in unloading and with few levels.
+        """Distance (n_levels,) in mm from the depth read to that of a smooth curve through the readings,
+        limited as `_further`; 0 in unloading and with few levels. At the depths read, maps whose speeds rise
+        steeply would be off by more than the noise model allows, and a fit would find less of what makes them
+        steep.
         """
         found = np.zeros(len(self.protocol))
         loading = ~np.array(self.protocol.unloading or np.zeros(len(found)), dtype=bool)

@@ -40,11 +40,9 @@ Change = Callable[[Theta], Array]  # of ln force and ln speed (`logs`), at value
 def _two_sided(p: Parameter, there: Array, other: Array) -> Callable[[float], Array]:
     """Change by a two-sided parameter from those at its start value and as far on the other side of null.
 
-    Their odd and even parts are proportional to the distance from null; the even part, caused by whichever
-    edge touches first, is smoothed about null.
-
-    On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10 degrees) ln force at 7 of 39 mm changes
-    by -0.038, -0.010 and -0.079: in proportion -5 would be +0.038, and 10 by a parabola -0.100.
+    Their odd and even parts are proportional to the distance from null; the even part, of whichever edge
+    touches first, is smoothed about null. On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10
+    degrees) ln force at 7 of 39 mm changes by -0.038, -0.010 and -0.079.
     """
     odd, even = 0.5 * (there - other), 0.5 * (there + other)
 
@@ -70,9 +68,7 @@ def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Arra
 
 
 class Changes:
-    """Changes by effects in one site's simulations.
-
-    m : the exponent whose stored deformation is used
+    """Changes by effects in one site's simulations, at the stored deformation of the exponent `m`;
     not_simulated : effects that redistribute the load -> why the simulation that shows this has no solution
     """
 
@@ -211,12 +207,10 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Ingredients) -> Ar
     """Approximate change of the lines' ln depths (n, n_lines) by effects, without a simulation.
 
     Below the probe's centre the layers bear nearly the same pressure, like springs in series: tissue softer
-    by a factor is compressed more by that factor, and the probe's depth is redistributed accordingly. Effects
-    that are not a stiffness field do not move the lines. Simulations at one size and at the fitted size
-    correct the error of this estimate (`Changes`, `SiteCurves.repair`).
+    by a factor is compressed more by that factor. Effects that are no stiffness field do not move the lines.
+    Simulations correct the error of this estimate (`Changes`, `SiteCurves.repair`).
 
-    Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
-    18(4):e0284721.
+    Source: Neumann et al. 2023, PLOS One 18(4):e0284721 (springs in series as layered tissue under a probe).
     """
     assert curves.log_line is not None
     below = np.exp(curves.log_line)

@@ -1,6 +1,5 @@
-"""Predictions of explanations for the data of one site, or of several measurements of one place.
-
-Evaluated on each site's `surrogate` from c, m and effects' parameters, at given points of the effects' grids.
+"""Predictions of explanations for the data of one site, or of several measurements of one place, from c, m
+and effects' parameters at given points of the effects' grids.
 """
 
 from __future__ import annotations

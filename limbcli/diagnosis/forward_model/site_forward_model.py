@@ -123,10 +123,9 @@ class SiteForwardModel(Predictions):
         return replace(fitted, ln_points=float(np.log(likely)))
 
     def verified(self, fitted: Fitted) -> Fitted:
-        """Simulate the fitted model, correct the surrogate there and fit again, until the fit converges.
-
-        The fit is returned unchanged if the work budget is used up. A fit that does not converge moves to
-        where the surrogate is wrong; the best simulated parameters are then returned.
+        """Simulate the fitted model, correct the surrogate there and fit again, until the fit converges; one
+        that moves to where the surrogate is wrong gives the best simulated parameters. Unchanged if the work
+        budget is used up.
         """
         explanation = fitted.explanation
         if not any(self.effects[name].solves for name in explanation):
@@ -167,13 +166,13 @@ class SiteForwardModel(Predictions):
         self, model: AtPoints, start: Mapping[str, float], *, thorough: bool = True,
         besides: Sequence[Array] = (),
     ) -> tuple[float, Fitted]:  # fmt: skip
-        """The fit from several initial guesses; returns (deviance, fit). Trial parameters without a solution
-        have large residuals, so that fits avoid these.
+        """The fit from several initial guesses: (deviance, fit). Trial parameters without a solution have
+        large residuals, so that fits avoid these.
 
         start : initial sizes as distances from null, and grid values; besides : further initial guesses, as x
-        of `predict`
+            of `predict`
 
-        Raises SolveError or FitError if no initial guess has a solution; if the prediction is not finite.
+        Raises SolveError or FitError if no initial guess has a solution, or the prediction is not finite.
         """
         slots, (low, high) = self.slots(model.explanation), self.bounds(model.explanation)
         scale = np.array([0.1, 0.3, *(slot.parameter.step for slot in slots)])
@@ -237,8 +236,9 @@ class SiteForwardModel(Predictions):
         )  # fmt: skip
 
     def _without_approximate(self, x: Array, model: AtPoints) -> Array | None:
-        """Prediction without the effects of the tissue and those that are simulated, whose form is never
-        exactly that of a limb; None without such effects. An instrument's zero or scale has no other form."""
+        """Prediction without the effects whose form is never exactly that of a limb, of the tissue and
+        simulated ones; None without such. An instrument's zero or scale has no other form.
+        """
         effects = [self.effects[name] for name in model.explanation]
         kept = model.only(k for k, each in enumerate(effects) if each.kind != "tissue" and not each.solves)
         if len(kept.explanation) == len(effects):
@@ -259,10 +259,8 @@ class SiteForwardModel(Predictions):
         return [np.array([np.log(c), np.log(m), *guess]) for guess, (c, m) in pairs]
 
     def _ends_of_parts(self, model: AtPoints) -> list[Array]:
-        """Initial guesses from earlier fits: of this model, and of those with one effect less.
-
-        The fit must be at least as good as the latter; the missing effect starts at a tenth of the way from
-        its null value to its start value.
+        """Initial guesses from earlier fits of this model, and of those with one effect less, which begins at
+        a tenth of the way from its null value to its start value: the fit must be at least as good.
         """
         found = [self._ends[model.key]] if model.key in self._ends else []
         for k in range(len(model.explanation)):

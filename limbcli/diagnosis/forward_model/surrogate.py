@@ -73,10 +73,8 @@ class AtPoints:
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """Error of the surrogate at one simulated model, and its scaling to other parameter values.
-
-    missed : (n, n_columns), simulation minus surrogate in `logs`; sizes : of the effects in that model, in
-    units of their start values; ln_m : of its law
+    """Error of the surrogate at one simulated model, `missed` (n, n_columns) in `logs`, and its scaling to
+    others; sizes : of the effects in that model, in units of their start values; ln_m : of its law
     """
 
     missed: Array
@@ -234,8 +232,9 @@ class SiteCurves:
             self._repairs.setdefault(new.key, Repairs((self._repairs[old.key],)))
 
     def inherit_parts(self, model: AtPoints) -> None:
-        """Initialise the correction of a larger model not simulated yet with those of its parts: of the
-        largest simulated part, and then of parts of the remainder."""
+        """Begin the correction of a larger model with those of its largest simulated part, and of the
+        remainder's.
+        """
         n = len(model.explanation)
         if n < 2 or model.key in self._repairs:
             return

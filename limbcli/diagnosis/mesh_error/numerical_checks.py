@@ -270,9 +270,9 @@ class NumericalChecks:
     def _errors(
         self, correction: MeshCorrection, interventions: Sequence[Intervention], thickness: float
     ) -> list[ModelError]:
-        """Of numerical changes, of the depth at first touch, of the thickness and thus all strains, of a
-        common factor on the force, of the mesh; without maps also those of mean speeds, by the mesh and by
-        the unknown width of the region."""
+        """Of numerical changes, the depth at first touch, all strains by the thickness, a common factor on
+        the force, and the mesh; without maps also of mean speeds, by the mesh and the width of the region.
+        """
         found = [
             ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
             for each in interventions if each.name != "locking"
@@ -309,10 +309,9 @@ class NumericalChecks:
         return ModelError(name, np.zeros(len(log_speed)) + force, log_speed, **more)
 
     def parts_seen(self) -> NDArray[np.bool_]:
-        """Parts of the region (n_parts,) that the models without effects show at every depth.
-
-        Others come into view under load at the edges of the face, or lie at bone: the models err more in
-        them, also at the depths at which they show them.
+        """Parts of the region (n_parts,) that the models without effects show at every depth. Others come
+        into view under load at the edges of the face, or lie at bone: the models err more in them at all
+        depths.
         """
         seen = np.ones(self.simulations.windows.n_parts, dtype=bool)
         for curves in where_solved(self.simulations.curves, FIRST_M).values():
