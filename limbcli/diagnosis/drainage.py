@@ -64,8 +64,7 @@ class DrainageSolver:
     @staticmethod
     def chosen(kind: str, febio: Path | None) -> DrainageSolver | None:
         """FEBio, if that is what `solvers.choose` gives (whose errors it raises), as only it simulates
-        drainage.
-        """
+        drainage."""
         solver = choose(kind, febio)
         named = kind == FebioSolver.name
         return DrainageSolver(solver, named) if isinstance(solver, FebioSolver) else None

@@ -187,8 +187,7 @@ class Prepared:
 
     def simulated(self) -> SiteSimulations:
         """Simulations down to the deepest reading and beyond, of a reference stiffness and at rounded depths,
-        so that other measurements of the same place can reuse them.
-        """
+        so that other measurements of the same place can reuse them."""
         needed = _ROUND * float(np.floor(_BEYOND * deepest(readings(self.levels)) / _ROUND) + 1.0)
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
@@ -205,8 +204,7 @@ class Prepared:
 
     def _enough_force(self) -> float | None:
         """N at the reference stiffness, more than any reading; a power of two, so that curves can be reused.
-        None without a wave speed at rest, which tells the tissue's stiffness.
-        """
+        None without a wave speed at rest, which tells the tissue's stiffness."""
         largest, speed = float(np.nanmax(self.levels.force)), self.levels.swe_mean_m_per_s[:1]
         if not (self.levels.begins_at_zero and np.isfinite(speed).all() and largest > 0):
             return None

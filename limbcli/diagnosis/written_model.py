@@ -30,8 +30,7 @@ def write_diagnosed(
     templates: Path | None = None,
 ) -> None:  # fmt: skip
     """Write the site's own model with the chosen effects and the refitted parameters as diagnosed.feb;
-    differences from the diagnosis become warnings. number : index of the site in the forward model
-    """
+    differences from the diagnosis become warnings. number : index of the site in the forward model"""
     path = out / "mesh" / mine.site.name / "model.npz"
     if not path.is_file():
         writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
@@ -75,8 +74,7 @@ def _contact_takes(
     mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float, *, out: Path
 ) -> str | None:
     """Warning if the written model's contact lowers the fitted force at its deepest level by more than
-    `_SOFT`; force (n,) : of the curves, at the reference stiffness
-    """
+    `_SOFT`; force (n,) : of the curves, at the reference stiffness"""
     known = mine.curves.penetration
     if known is None:
         return None

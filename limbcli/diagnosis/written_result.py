@@ -133,8 +133,7 @@ def reported_sizes(
 ) -> dict[str, dict[str, Interval]]:
     """Intervals with the names and units in which they are reported, of all size parameters (`slots`) by
     effect; None: open on that side. found : by effect and parameter, the interval of its value; missing
-    effects are open
-    """
+    effects are open"""
     sizes: dict[str, dict[str, Interval]] = {}
     for name, mine in slots.items():
         row: dict[str, Interval] = {}
@@ -248,8 +247,7 @@ def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[
 
 def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: Path) -> None:
     """The interval of every effect's size when it alone is added, in plausible sizes; 0 is no effect, a
-    triangle an interval outside the axis or beyond the largest size searched.
-    """
+    triangle an interval outside the axis or beyond the largest size searched."""
     rows = [
         (f"{name}: {slot.name}", _in_plausible_sizes(slot.parameter, found.sizes[name][slot.name]))
         for name, mine in sizes.items() for slot in mine if slot.name in found.sizes.get(name, ())
@@ -293,8 +291,7 @@ _HARD = 4.0 * USUAL_PENALTY
 def diagnosed_force(found: Diagnosis, curves: SiteCurves) -> dict[str, Any] | None:
     """`tissue_force` of diagnosis.json, which the limb's stiffness field takes as that of a fit: the forces
     at the loaded levels of c, m and f_kappa alone, their noise, the errors of the model, and forces of other
-    m and f_kappa with their derivatives. None without the influence of f_kappa, or a loaded level.
-    """
+    m and f_kappa with their derivatives. None without the influence of f_kappa, or a loaded level."""
     site, estimates = curves.site, found.shrink[-1].estimates
     common = {each.name: each for each in found.common_errors.get(found.chosen, ())}
     errors = {each.name: each for each in site.model.errors if each.name in common}

@@ -54,8 +54,7 @@ def write_direction_uncertainty(
     writer: StageWriter, *, site: str,
 ) -> None:  # fmt: skip
     """Write `direction_uncertainty` of fit-joint.json: change of force and speed by fibres turned by one
-    standard deviation from `direction`; curve_along : the site's curve with its fibres in a direction.
-    """
+    standard deviation from `direction`; curve_along : the site's curve with its fibres in a direction."""
     values = []
     for angle in (0.0, deviation_deg):
         curve = curve_along(turned(direction, angle))
@@ -215,8 +214,7 @@ def rest_speed(model: LimbModel, law: FitLaw, *, c: float, density_kg_per_m3: fl
 
 def _tensors_at_rest(model: LimbModel, law: FitLaw, items: IntArray, c: float) -> Array:
     """Parts (3, n, 2, 2), MPa, of the acoustic tensor at rest for waves along x, in the axes z, y: the first,
-    that times fibre_shear, and that times fibre_tension. items : solid cells, numbered over all blocks
-    """
+    that times fibre_shear, and that times fibre_tension. items : solid cells, numbered over all blocks"""
     names, counts = zip(*((each.name, len(each.cells)) for each in model.mesh.blocks), strict=True)
     place = names.index(next(each.block for each in model.domains if each.material == TISSUE))
     first, n_cells = sum(counts[:place]), counts[place]

@@ -82,8 +82,7 @@ def site_geometry_uncertainty(
     progress: Progress = SILENT,
 ) -> GeometryUncertainty | None:  # fmt: skip
     """The uncertainty due to a site's assumed geometry, or what an earlier fit of the same model kept; None
-    if imaged, or if no variation could be solved. forces : (n_levels,) N of the fitted model
-    """
+    if imaged, or if no variation could be solved. forces : (n_levels,) N of the fitted model"""
     if not case.imaging.assumed:
         return None
     segmented, meshed = read_result(out, "segment"), read_result(out, "mesh", site=site.name)

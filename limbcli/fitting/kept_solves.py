@@ -105,8 +105,7 @@ _LEAST_CHECKED = 3
 def checked_levels(model: LimbModel) -> IntArray:
     """Numbers of the levels at which a check solves a changed model: a third, at least three, the first and
     the last among them; all where the load has several steps. On the sites of `cases/` (4 to 12 levels) an
-    interpolation from three levels errs by 0.6 % of the force at most, by 0.1 % at the median.
-    """
+    interpolation from three levels errs by 0.6 % of the force at most, by 0.1 % at the median."""
     n_levels = sum(len(step.must_points) for step in model.steps)
     n = n_levels if len(model.steps) > 1 else min(n_levels, max(_LEAST_CHECKED, n_levels // 3 + 1))
     return np.linspace(0, n_levels - 1, n).round().astype(np.int64)

@@ -74,8 +74,7 @@ def changed_forces(
     progress: Progress = SILENT,
 ) -> list[ChangedForces]:  # fmt: skip
     """The forces of the fitted model with each of `BOUNDARIES`; again : gives those (n_reached,) N with one,
-    or raises SolveError.
-    """
+    or raises SolveError."""
     found = []
     for boundary in BOUNDARIES:
         if boundary.of(model) is model:
@@ -92,8 +91,7 @@ def changed_forces(
 
 def boundary_modes(changed: Sequence[ChangedForces], depths: Array, knots: Array) -> Array:
     """Changes of ln force (n_modes, n_knots), one standard deviation each: half of what a boundary changes at
-    `depths` mm, so that the other extreme lies two deviations from the model; constant beyond the last.
-    """
+    `depths` mm, so that the other extreme lies two deviations from the model; constant beyond the last."""
     changes = [np.log(np.maximum(each.ratio, 1e-9)) for each in changed if each.ratio is not None]
     modes = [_SHARE * np.interp(knots, depths[: len(each)], each) for each in changes]
     return np.array(modes).reshape(len(modes), len(knots))
@@ -173,8 +171,7 @@ def write_contact_check(
 ) -> None:  # fmt: skip
     """Write `contact_check` of a fit, or of one site of several, a line of the summary, and a warning if the
     change exceeds `MATTERS`. harder : penalty -> forces (n_reached,) N of the same model, or raises
-    SolveError
-    """
+    SolveError"""
     at = "" if site is None else f"{site}: "
     progress.event("note", text=f"the fitted model with {HARDER:g} times the contact's penalty")
     reported = {"penalty": penalty, "tried": HARDER * penalty, "depths_mm": depths}

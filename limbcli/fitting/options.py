@@ -86,8 +86,7 @@ def check_choice(
     febio: Path | None = None,
 ) -> None:  # fmt: skip
     """Raise CaseError if the objective is unknown, FEBio is asked of a fit that only the reference solver
-    supports, or an option has no effect on the requested fit.
-    """
+    supports, or an option has no effect on the requested fit."""
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
         raise CaseError(f"there is no objective {objective!r}", where="--objective", fix=fix)

@@ -119,8 +119,7 @@ class StateCurve:
         self, depths: Array, forces: Array, force_slopes: Array, rise_slopes: Array, speeds: Array
     ) -> Prediction:
         """Interpolate what was simulated at `depths` from first touch (n,) at those of the curve, linearly
-        beyond the last. speeds (1 + n,) : at rest first; force_slopes (n, n_theta), rise_slopes (n_theta,)
-        """
+        beyond the last. speeds (1 + n,) : at rest first; force_slopes (n, n_theta), rise_slopes (n_theta,)"""
         if depths[-1] < _FURTHEST * self.depths[-1]:
             raise SolveError(
                 f"the stretched skin recedes so far that the probe ends {depths[-1]:.2f} mm below it; "

@@ -131,8 +131,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
 def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: Array, held: Array) -> float:
     """Factor by which the noise's variance exceeds the stated one: that of the intervals, else by the
     residuals over those that an unweighted fit leaves of the noise and of `held` (n, k), N, one deviation of
-    each quantity held fixed. columns (n, p) : sensitivities
-    """
+    each quantity held fixed. columns (n, p) : sensitivities"""
     if found.intervals:
         return found.intervals[found.place(step)].scale
     left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)

@@ -115,8 +115,7 @@ def shares_of(x: Array) -> Array:
 
 def trend(shares: Array, log_ratio: Array) -> tuple[Array, Array]:
     """Trend of the readings (..., n, 4), the layers as springs in series, and its derivative by ln ratio;
-    shares (n, 3), log_ratio (..., n).
-    """
+    shares (n, 3), log_ratio (..., n)."""
     soft = shares[:, 1] * np.exp(-log_ratio)
     whole = shares[:, 0] / SKIN_RATIO + soft + shares[:, 2]
     none = np.zeros_like(whole)

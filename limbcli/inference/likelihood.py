@@ -270,8 +270,7 @@ class Likelihood:
 
     def solve(self, theta: Array) -> None:
         """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those that
-        are too uncertain, or else the farthest from any solved point. Raises SolveError if that fails.
-        """
+        are too uncertain, or else the farthest from any solved point. Raises SolveError if that fails."""
         for emulator in dict.fromkeys(each.emulator for each in self.blocks):
             own = [each for each in self.blocks if each.emulator is emulator]
             chosen = [each for each in own if len(own) > 1 and each.uncertainty(theta) > _SURE]

@@ -80,8 +80,7 @@ class Population:
     def deviation_interval(self) -> tuple[Array, Array]:
         """95 % interval of the standard deviations: low, high (p,). Above by chi-square, with the degrees of
         freedom of the standard error, or as many as the prior's rows; below by the Gaussian error, as there
-        the prior keeps the spread from falling.
-        """
+        the prior keeps the spread from falling."""
         free = np.maximum(0.5 * (self.deviation / self.deviation_error) ** 2, _PRIOR_ROWS)
         low = self.deviation - ndtri(_HIGH) * self.deviation_error
         return np.maximum(low, 0.0), self.deviation * np.sqrt(free / chdtri(free, 1.0 - _LOW))

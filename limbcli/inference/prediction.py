@@ -160,8 +160,7 @@ def sampled(
 ) -> Predictor:
     """Force at measured depths as a function of the `free` ones of the curve's parameters; fixed
     (n_parameters,) gives the others. The forces at `knots` and the origin are interpolated by PCHIP; before
-    first touch they are 0.
-    """
+    first touch they are 0."""
     places, columns = np.maximum(depths, 0.0), list(free)
 
     def predict(theta: Array, *, derivative: bool = True) -> Prediction:

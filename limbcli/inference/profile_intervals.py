@@ -50,8 +50,7 @@ class Stiffness:
 
     def nuisances(self) -> list[tuple[FitParameter, float]]:
         """Nuisance parameters that scale the forces, each with the standard deviation of its logarithm: c,
-        with the mesh error in it; where layers have a fixed stiffness, c and then the mesh's gain.
-        """
+        with the mesh error in it; where layers have a fixed stiffness, c and then the mesh's gain."""
         if self.share is None:
             return [_around("c", self.c, self.force_deviation)]
         return [_around("c", self.c, self.log_deviation), _around("gain", 1.0, self.gain_deviation)]

@@ -218,8 +218,7 @@ _LEAST = 1e-12  # lower limit of a value before its logarithm is taken
 
 class Emulator:
     """The surrogate with the interface of its curve, and the standard deviation of each value; `refresh`
-    after each solve. Outputs without derivatives (wave speeds) are interpolated without them.
-    """
+    after each solve. Outputs without derivatives (wave speeds) are interpolated without them."""
 
     def __init__(self, curve: SolvedPoints):
         self.curve = curve

@@ -201,8 +201,7 @@ def _intervals(
     max_solves: int, progress: Progress,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
     """Profile-likelihood intervals of both steps; known : c and its uncertainty at each, modes : changes of
-    ln force by uncertain geometry and boundaries, to be included
-    """
+    ln force by uncertain geometry and boundaries, to be included"""
     match.curve.expect(max_solves + _FIRST_SOLVES)
     full = force_intervals(
         match, known[-1], steps[-1].theta, max_solves=max_solves, shape_modes=modes, progress=progress

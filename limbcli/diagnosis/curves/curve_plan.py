@@ -44,8 +44,7 @@ _MOST_ALLOWED, _MOST_IN_ALL = 25e6, 100e6
 
 def bend(m: Any) -> Any:
     """Transform of m in which ln force and ln speed are smooth: the law is even in m, and exponential for
-    large m. Polynomials in it through m 2, 5, 10 are within 0.3 % from 1 to 9; in ln m within 80 %.
-    """
+    large m. Polynomials in it through m 2, 5, 10 are within 0.3 % from 1 to 9; in ln m within 80 %."""
     return np.sqrt(_BEND**2 + np.square(m))
 
 
@@ -144,8 +143,7 @@ class SiteWork:
         self, *, has_friction: bool = False, fitted: bool = False, needed: float = 1.0
     ) -> Budget:
         """Budget of a solve with a candidate effect, with a size of a fit (`fitted`) or of the first
-        estimate; needed : fraction of the load steps that must be reached
-        """
+        estimate; needed : fraction of the load steps that must be reached"""
         times = _TIMES_WITH_FRICTION if has_friction else _TIMES_FITTED if fitted else _TIMES_USUAL
         limit = max(_LEAST_ALLOWED, min(times * self.mean, _MOST_ALLOWED / max(self.n_cells, 1)))
         return Budget(allowed=limit, needed=needed, beyond=_FOR_MORE)
@@ -158,8 +156,7 @@ class SiteWork:
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
         """Context manager in which solves are not counted: a diagnosis that finds the final result in the
-        cache does not repeat these auxiliary solves, and must come to the same conclusion.
-        """
+        cache does not repeat these auxiliary solves, and must come to the same conclusion."""
         known = self.total, list(self.usual)
         try:
             yield

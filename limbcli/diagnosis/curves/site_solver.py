@@ -46,8 +46,7 @@ _STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the u
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SiteModels:
     """A site's model for any exponent m and effects, from the `usual` one without; c : MPa, and f_kappa, of
-    its tissue; fingerprint : hash of what else the curves depend on
-    """
+    its tissue; fingerprint : hash of what else the curves depend on"""
 
     usual: LimbModel
     c: float
@@ -90,8 +89,7 @@ def fingerprint(
     enough_force: float | None, lines: Array | None, density_kg_per_m3: float,
 ) -> str:  # fmt: skip
     """Hash of a site's simulations without effects: of all that their curves depend on, and of the versions
-    of the program and of the evaluation of speeds.
-    """
+    of the program and of the evaluation of speeds."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     digest.update(f"limbcli {__version__}, read {_READING}".encode())
     penalties = [each.penalty for each in model.contacts]

@@ -102,8 +102,7 @@ def fall(force: Array, windows: IntArray) -> Array:
 def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
     """Force ratios of the holds of a record, or None and the reason why there are none. Without a recorded
     depth, holds are matched to the levels and must show a falling force, as a constant one may have been
-    regulated.
-    """
+    regulated."""
     time = np.arange(trace.time[0], trace.time[-1], STEP_S)
     if len(time) * STEP_S < _LEAST_HOLD_S:
         return None, "the record is shorter than one hold"
@@ -218,8 +217,7 @@ def _with_next(windows: IntArray) -> NDArray[np.bool_]:
 def _covariance(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> Array:
     """Covariance (n_features, n_features) of the ln force ratios, of which two successive ones share a
     window: scatter of the force samples, of the depth samples and of movement (`moving`, the recorded depth
-    on the grid) times the stiffness, and the floor.
-    """
+    on the grid) times the stiffness, and the floor."""
     rate = 1.0 / float(np.median(np.diff(trace.time)))
     samples = np.maximum((windows[:, :, 1] - windows[:, :, 0]) * STEP_S * rate, 1.0)
     of_samples = (_scatter(trace.force) / force[:, None]) ** 2 / samples

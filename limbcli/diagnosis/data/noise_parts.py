@@ -243,8 +243,7 @@ def depth_slopes(
 ) -> Array:  # fmt: skip
     """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
     maps from a model, `map_slopes`, where given. Depth and speeds are fitted as functions of the force, which
-    has little error; layers thin linearly in ln(1 + F/unit) of the smooth depth.
-    """
+    has little error; layers thin linearly in ln(1 + F/unit) of the smooth depth."""
     out = np.zeros(len(rows))
     smooth = SmoothDepth.through(protocol)
     for channel in rows.channels():

@@ -81,8 +81,7 @@ class SiteData:
     def with_strain_of(self, curves: Curves, reading: Reading) -> SiteData:
         """The data with the error common to all strains along the derivative of these curves, of unchanged
         size. The slopes of smooth curves through the readings, by which it was first computed, differ from a
-        model's by up to a tenth: many parts of maps would find a factor of all depths by that.
-        """
+        model's by up to a tenth: many parts of maps would find a factor of all depths by that."""
         part = next((each for each in self.data.noise.parts if each.name == STRAIN), None)
         by_depth = self.slope * self.protocol.depth[self._levels]
         first = np.where(self.rows.among("travel"), 0.0, by_depth)
@@ -135,8 +134,7 @@ class SiteData:
         """Distance (n_levels,) in mm from the depth read to that of a smooth curve through the readings,
         limited as `_further`; 0 in unloading and with few levels. At the depths read, maps whose speeds rise
         steeply would be off by more than the noise model allows, and a fit would find less of what makes them
-        steep.
-        """
+        steep."""
         found = np.zeros(len(self.protocol))
         loading = ~np.array(self.protocol.unloading or np.zeros(len(found)), dtype=bool)
         if loading.sum() < FEWEST_SMOOTH or self.seen.noise.depth <= 0:

@@ -125,8 +125,7 @@ class SiteForwardModel(Predictions):
     def verified(self, fitted: Fitted) -> Fitted:
         """Simulate the fitted model, correct the surrogate there and fit again, until the fit converges; one
         that moves to where the surrogate is wrong gives the best simulated parameters. Unchanged if the work
-        budget is used up.
-        """
+        budget is used up."""
         explanation = fitted.explanation
         if not any(self.effects[name].solves for name in explanation):
             return fitted
@@ -237,8 +236,7 @@ class SiteForwardModel(Predictions):
 
     def _without_approximate(self, x: Array, model: AtPoints) -> Array | None:
         """Prediction without the effects whose form is never exactly that of a limb, of the tissue and
-        simulated ones; None without such. An instrument's zero or scale has no other form.
-        """
+        simulated ones; None without such. An instrument's zero or scale has no other form."""
         effects = [self.effects[name] for name in model.explanation]
         kept = model.only(k for k, each in enumerate(effects) if each.kind != "tissue" and not each.solves)
         if len(kept.explanation) == len(effects):
@@ -260,8 +258,7 @@ class SiteForwardModel(Predictions):
 
     def _ends_of_parts(self, model: AtPoints) -> list[Array]:
         """Initial guesses from earlier fits of this model, and of those with one effect less, which begins at
-        a tenth of the way from its null value to its start value: the fit must be at least as good.
-        """
+        a tenth of the way from its null value to its start value: the fit must be at least as good."""
         found = [self._ends[model.key]] if model.key in self._ends else []
         for k in range(len(model.explanation)):
             rest = model.without(k)

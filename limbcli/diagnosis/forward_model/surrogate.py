@@ -74,8 +74,7 @@ class AtPoints:
 @dataclass(frozen=True, eq=False)
 class Repair:
     """Error of the surrogate at one simulated model, `missed` (n, n_columns) in `logs`, and its scaling to
-    others; sizes : of the effects in that model, in units of their start values; ln_m : of its law
-    """
+    others; sizes : of the effects in that model, in units of their start values; ln_m : of its law"""
 
     missed: Array
     sizes: Mapping[str, float]
@@ -233,8 +232,7 @@ class SiteCurves:
 
     def inherit_parts(self, model: AtPoints) -> None:
         """Begin the correction of a larger model with those of its largest simulated part, and of the
-        remainder's.
-        """
+        remainder's."""
         n = len(model.explanation)
         if n < 2 or model.key in self._repairs:
             return

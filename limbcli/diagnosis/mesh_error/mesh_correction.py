@@ -68,8 +68,7 @@ _LEAST_STEP = 0.05  # smallest step between two depths after the shift, as a fra
 class MeshCorrection:
     """Additive correction of the working mesh's ln force and ln speeds, `logs` (n_m, n, 1 + n_parts), at
     increasing `m` (n_m,); ratio of the thicknesses; standard deviations of the mesh error left of ln force
-    and ln mean speed (n_levels,); factor on the usual model error in maps.
-    """
+    and ln mean speed (n_levels,); factor on the usual model error in maps."""
 
     m: Array
     logs: Array
@@ -80,8 +79,7 @@ class MeshCorrection:
 
     def at(self, m: float) -> Array:
         """Correction of ln force and ln speeds (n, 1 + n_parts), linear in `bend` and nearly constant outside
-        the known m; the transition is smooth, since fits use derivatives.
-        """
+        the known m; the transition is smooth, since fits use derivatives."""
         known = bend(self.m)
         place = float(np.interp(bend(m), known, np.arange(len(known))))
         if len(known) > 1:
@@ -132,8 +130,7 @@ def own_curves(
 
 def own_layers(site: Site, out: Path) -> str:
     """Names of the layers that the site's own mesh has beside the tissue; empty if it is not meshed. Their
-    stiffness is separate, where a diagnosis has one tissue: what they change is no mesh error.
-    """
+    stiffness is separate, where a diagnosis has one tissue: what they change is no mesh error."""
     layers = data_if_there(out, "mesh", site=site.name).get("layers") or {}
     return " and ".join(name.removesuffix("_mm") for name in layers)
 
@@ -172,8 +169,7 @@ def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
 
 def mesh_correction(checks: NumericalChecks, *, solves: bool) -> MeshCorrection:
     """Correction to the site's own mesh, and to a limb that is not cut and rests on something, by simulations
-    (`solves`) or none, with a usual error: at the likely m and, with maps, at the others of `FIRST_M`.
-    """
+    (`solves`) or none, with a usual error: at the likely m and, with maps, at the others of `FIRST_M`."""
     several = [checks.likely_m]
     if checks.site.swe_maps is not None:
         others = [m for m in FIRST_M if m != checks.likely_m]
@@ -191,8 +187,7 @@ def corrected(
     held: Mapping[float, Curves], solves: bool = True,
 ) -> MeshCorrection:  # fmt: skip
     """The correction at these values of m, the likely one first; freed, held : by m, as far as known, the
-    working mesh's curves with the cut free, and with the far side held
-    """
+    working mesh's curves with the cut free, and with the far side held"""
     found = _by_own_mesh(checks, several) if solves else None
     if found is None:
         found = _usual(checks, sorted({*freed, *held}) or [several[0]])

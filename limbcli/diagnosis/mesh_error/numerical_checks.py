@@ -271,8 +271,7 @@ class NumericalChecks:
         self, correction: MeshCorrection, interventions: Sequence[Intervention], thickness: float
     ) -> list[ModelError]:
         """Of numerical changes, the depth at first touch, all strains by the thickness, a common factor on
-        the force, and the mesh; without maps also of mean speeds, by the mesh and the width of the region.
-        """
+        the force, and the mesh; without maps also of mean speeds, by the mesh and the width of the region."""
         found = [
             ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
             for each in interventions if each.name != "locking"
@@ -311,8 +310,7 @@ class NumericalChecks:
     def parts_seen(self) -> NDArray[np.bool_]:
         """Parts of the region (n_parts,) that the models without effects show at every depth. Others come
         into view under load at the edges of the face, or lie at bone: the models err more in them at all
-        depths.
-        """
+        depths."""
         seen = np.ones(self.simulations.windows.n_parts, dtype=bool)
         for curves in where_solved(self.simulations.curves, FIRST_M).values():
             seen &= np.isfinite(curves.log_speed[:, 1:]).all(axis=0)
