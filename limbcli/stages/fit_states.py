@@ -28,14 +28,14 @@ from limbcli.inference.joint_fit import JointProblem, JointTask, States, joint_f
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.site_layers import held_layers
 from limbcli.site_model.site_states import MeasuredState, states_of
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
-from limbcli.stages.fit_joint import Measured, check_noise, site_data
+from limbcli.stages.fit_joint import check_noise, site_data
 
 STAGE = "fit-states"
 _MOST_ROUNDS = 3  # usual number of rounds of simulations for the intervals
@@ -106,23 +106,18 @@ def _fit_site(
         model, simulated, plan.ways, knots(measured), c=c0, density_kg_per_m3=site.density_kg_per_m3,
         progress=progress,
     )  # fmt: skip
+    data = [
+        replace(site_data(site, each.levels, curve.depths, gain, speeds=True), name=each.state.name)
+        for each in measured
+    ]
     try:
         problem, found = identify(
-            curve, law, plan, [state_data(site, model, each, curve.depths, gain) for each in measured],
-            max_rounds=options.most_solves(_MOST_ROUNDS), progress=progress,
+            curve, law, plan, data, max_rounds=options.most_solves(_MOST_ROUNDS), progress=progress
         )  # fmt: skip
         fit = FittedStates(site=site, law=law, plan=plan, curve=curve, problem=problem, found=found)
         write_states(fit, model, writer)
     finally:
         curve.close()
-
-
-def state_data(
-    site: Site, model: LimbModel, each: MeasuredState, depths: Array, gain: float = 0.0
-) -> SiteMeasurement:
-    """A state's loading levels with their stated noise; depths : of the simulated levels (mm)."""
-    taken = Measured(site=site, model=model, levels=each.levels, c=0.0)
-    return replace(site_data(taken, depths, gain, speeds=True), name=each.state.name)
 
 
 def identify(
