@@ -90,8 +90,7 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
         },
         "profiles": _profiles(found, k),
         "history": [
-            {"cost_n2": each.cost, **dict(zip(searched, each.theta, strict=True))}
-            for each in step.fit.history
+            {"cost_n2": cost, **dict(zip(searched, theta, strict=True))} for theta, cost in step.fit.history
         ],
     }  # fmt: skip
 

@@ -37,18 +37,12 @@ _NEAR = 0.05  # largest distance from a solved point, in ln of the curve's param
 
 @dataclass(frozen=True, eq=False)
 class States:
-    """What distinguishes the states of one site.
+    """What distinguishes the states of one site: ln of a state's stretches is its offset (n_states, n_ways)
+    plus its factors (n_states, n_ways, n_parameters) times ln of the `parameters`."""
 
-    even_speed : speed in evenly stretched tissue, to which the speeds of the curve and, as its last value,
-        that at rest are relative
-    offsets (n_states, n_ways), factors (n_states, n_ways, n_stretches) : ln of a state's stretches is its
-        offset plus its factors times ln of the `stretches`
-    """
-
-    even_speed: EvenSpeed
+    parameters: Sequence[FitParameter]
     offsets: Array
     factors: Array
-    stretches: Sequence[FitParameter]
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +50,8 @@ class JointTask:
     """Input of the joint fit: curves and data by site or state, and the parameters of the law.
 
     curves : by site; the same one for all states, of (shape, stretches)
-    c0 : MPa, the c of the curves
+    c0 : MPa, the c of the curves; even_speed : of states, the speed in evenly stretched tissue, to which the
+        speeds of the curve and, as its last value, that at rest are relative
     log_speed_0 : ln sqrt(c0 / (2 rho)) in m/s, by site, or as `RestSpeed`; of states see `States`
     c_deviation : standard deviation of a prior on ln c around c0; None where the speeds determine c
     beside_layers : by site, whether its curve is a function of (c / c0, shape...), because its layers have a
@@ -71,10 +66,11 @@ class JointTask:
     c_deviation: float | None = None
     beside_layers: Sequence[bool] = ()
     states: States | None = None
+    even_speed: EvenSpeed | None = None
 
     @property
     def stretches(self) -> Sequence[FitParameter]:
-        return () if self.states is None else self.states.stretches
+        return () if self.states is None else self.states.parameters
 
 
 class JointProblem(Likelihood):
@@ -111,7 +107,7 @@ class JointProblem(Likelihood):
             )
             emulator = Emulator(curve) if states is None or not blocks else blocks[0].emulator
             if states is not None:
-                blocks.append(SiteBlock(data, emulator, place, even_speed=states.even_speed))
+                blocks.append(SiteBlock(data, emulator, place, even_speed=task.even_speed))
             else:
                 rest = task.log_speed_0[k]
                 blocks.append(SiteBlock(data, emulator, place, rest_speed_by_c(rest) if beside else rest))

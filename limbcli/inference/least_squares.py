@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
@@ -26,21 +26,13 @@ _REASONS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Iterate:
-    """One accepted iterate of the search."""
-
-    theta: Array
-    cost: float
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """Result of the search.
 
     theta : (n_parameters,)
     residual, jacobian : (n,) and (n, n_parameters) d residual / d theta at theta
     cost : sum of squares
-    reason : the termination test that was met
+    reason : the termination test that was met; history : theta and cost of every accepted iterate
     """
 
     parameters: tuple[FitParameter, ...]
@@ -50,7 +42,7 @@ class Fit:
     cost: float
     n_iterations: int
     reason: str
-    history: tuple[Iterate, ...] = field(default=())
+    history: tuple[tuple[Array, float], ...] = ()
 
 
 def least_squares_fit(
@@ -108,7 +100,7 @@ class _Search:
         self.high = np.array([p.high for p in parameters])
         self.factor = np.array([p.step_factor for p in parameters])
         self.box = tuple(normalised(parameters, each) for each in (self.low, self.high))
-        self.history: list[Iterate] = []
+        self.history: list[tuple[Array, float]] = []
         self.trial: tuple[Array, Residual] | None = None
         start = np.array([p.start for p in parameters])
         first = objective(start, True)
@@ -125,7 +117,7 @@ class _Search:
             raise _UsedUp
         self.theta = theta
         self.now = residual if residual.jacobian is not None else self.objective(theta, True)
-        self.history.append(Iterate(theta.copy(), residual.cost))
+        self.history.append((theta.copy(), residual.cost))
         self.progress.event(
             "fit", iteration=len(self.history), cost=residual.cost,
             parameters={p.name: float(t) for p, t in zip(self.parameters, theta, strict=True)},

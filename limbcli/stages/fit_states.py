@@ -24,7 +24,7 @@ from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.fitting.states_result import write_states
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.joint_fit import JointProblem, JointTask, States, joint_fit
+from limbcli.inference.joint_fit import JointProblem, JointTask, joint_fit
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
@@ -130,10 +130,10 @@ def identify(
     """
     memory = SolvedPoints(curve)
     first_simulations(memory, curve.law, plan, progress=progress)
-    n, states = len(data), States(curve.even_speed, plan.offsets, plan.factors, plan.parameters)
     task = JointTask(
-        [memory] * n, data, law.shape, curve.c, beside_layers=[curve.law.has_ratio] * n, states=states
-    )
+        [memory] * len(data), data, law.shape, curve.c, beside_layers=[curve.law.has_ratio] * len(data),
+        states=plan, even_speed=curve.even_speed,
+    )  # fmt: skip
     return joint_fit(task, starts(curve.c, law, plan), max_solves=max_rounds, progress=progress)
 
 

@@ -29,7 +29,7 @@ from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
 from limbcli.inference.derived import derived_interval, lowest_on_grid
-from limbcli.inference.joint_fit import JointTask, States, joint_fit
+from limbcli.inference.joint_fit import JointTask, joint_fit
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
@@ -90,8 +90,9 @@ def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
             np.log(speed), np.full(len(speed), SPEED_SD), gain,
         ))  # fmt: skip
     law, clock, before = LAWS["ogden"], time.process_time(), memory.n_solves
-    states = States(curve.even_speed, plan.offsets, plan.factors, plan.parameters)
-    task = JointTask([memory] * len(several), several, law.shape, truth["c"], states=states)
+    task = JointTask(
+        [memory] * len(several), several, law.shape, truth["c"], states=plan, even_speed=curve.even_speed
+    )
     problem, found = joint_fit(task, starts(truth["c"], law, plan), max_solves=3)
 
     def lowest(theta):
