@@ -108,6 +108,10 @@ class SiteSimulations:
             solving=replace(solver.solving, penalty=penalty, beside=self),
         )  # fmt: skip
 
+    @property
+    def spent(self) -> bool:
+        return self.work.spent
+
     def close(self) -> None:
         self.solver.close()
 
@@ -136,7 +140,7 @@ class SiteSimulations:
             if values is None:
                 self._known[key] = self._solved(key, m, ())
             else:
-                self._kinematics[key] = self._deformation(self.model, curves.depth, values)
+                self._kinematics[key] = self.deformation(self.model, curves.depth, values)
         return self._kinematics[key]
 
     def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]:
@@ -192,7 +196,7 @@ class SiteSimulations:
         depths = self.depths if like is None else self.few
         solve = self.solver.solve(m, ingredients, depths)
         values, seen = self._values(solve), stiffness_fields(ingredients, waves=True)
-        kinematics = self._deformation(solve.model, solve.depth, values)
+        kinematics = self.deformation(solve.model, solve.depth, values)
         curves = self._read(
             solve, kinematics, in_window=self.models.of(m, laws(ingredients), waves=True), stiffness=seen,
             without=self._plain_deformations(m) if seen else (),
@@ -209,7 +213,7 @@ class SiteSimulations:
         if not ingredients:
             if further:
                 values = np.concatenate([values, *[values[-1:]] * len(further)])
-                kinematics = self._deformation(solve.model, curves.depth, values)
+                kinematics = self.deformation(solve.model, curves.depth, values)
             self._kinematics[key] = kinematics
             self.solver.memo.write(f"{key}-nodes", {"values": values.astype(np.float32)})
         self.solver.keep(key, ingredients, solve.result.levels)
@@ -264,7 +268,7 @@ class SiteSimulations:
         continues with the same numbers."""
         return solve.result.simulation.nodes[_FILE].values[solve.result.rows].astype(np.float32).astype(float)
 
-    def _deformation(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
+    def deformation(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
         """The tissue's deformation at these depths (mm, n), the first of which is 0."""
         points = IntegrationPoints.of(model.mesh.points, model.mesh.solid_blocks[0])
         displacement = np.zeros((len(depth), len(model.mesh.points), 3))

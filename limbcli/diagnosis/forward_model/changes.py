@@ -174,7 +174,7 @@ class Changes:
         """Error of the change from the stored deformation, from one simulation at the start value."""
         m, theta = self.m, {**effect.null, **point, p.name: p.start}
         try:
-            if self.simulations.work.spent:
+            if self.simulations.spent:
                 raise SolveError(
                     "the simulations used up the diagnosis's work budget",
                     where=f"effect {effect.name}", fix=f"name it: `--effects {effect.name}`",

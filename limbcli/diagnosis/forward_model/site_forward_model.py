@@ -129,7 +129,7 @@ class SiteForwardModel(Predictions):
         explanation = fitted.explanation
         if not any(self.effects[name].solves for name in explanation):
             return fitted
-        if any(each.simulations.work.spent for each in self.sites):
+        if any(each.simulations.spent for each in self.sites):
             self.not_simulated.add(explanation)
             return fitted
         model, solved, ln_points = self.model_of(fitted), [], fitted.ln_points
