@@ -71,12 +71,12 @@ _AT_END = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LeastStiffness:
-    """The minimum of the speed at rest in one direction (`way`).
+    """The minimum of the speed at rest in one direction (`way`), counted on the scale of the "case" or from
+    "unloaded".
 
-    by_law : ln stretch at the minimum of the law's curve, with its interval, on the case's scale if the case
-        gives stretches; of_states : the same by a parabola through the states that give stretches
-    counted : scale of the stretches, "case" or "unloaded" (relative to the unloaded length)
-    measured : ln of the least and greatest stretch of the states, at the best fit
+    by_law : ln stretch at the minimum of the law's curve, with its interval; of_states : the same by a
+        parabola through the states that give stretches; measured : ln of the least and greatest of the
+        states' stretches
     """
 
     way: str

@@ -53,14 +53,12 @@ def least_squares_fit(
     """Bounded least squares in the normalised parameters.
 
     A trial at which the model cannot be solved (SolveError) counts as worse, and so does, without a solve,
-    one that changes a parameter by more than its step factor.
+    one that changes a parameter by more than its step factor. The search ends when a step lowers the cost by
+    at most `tolerance` relative to it, or is within `tolerance` relative to the parameters, or nothing leads
+    down.
 
-    guide : theta -> a better guess from what is known of the model so far (at no cost). Its guesses come
-        first, while the cost decreases at them. Convergence is decided with the model's own derivatives: no
-        step lowers the linearised cost by more than `tolerance`.
-
-    The search ends when a step lowers the cost by at most `tolerance` relative to it, or is within
-    `tolerance` relative to the parameters, or there is no descent direction.
+    guide : theta -> a better guess from what is known of the model so far, at no cost, tried first while the
+        cost decreases. Then no step may lower the linearised cost by more than `tolerance`.
 
     Raises SolveError if the model cannot be solved at the start values; FitError if the residual is not
     finite there, or the search has not converged after `max_iterations` and `must_settle` is set.

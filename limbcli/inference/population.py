@@ -88,15 +88,13 @@ class Population:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Posterior of each row under the estimated population.
+    """Posterior of each row under the estimated population; mean, deviation, mode : (n, p).
 
-    mean, deviation, mode : (n, p)
     low, high : ends of the 95 % interval, including the uncertainty of the population mean (n, p)
-    effective : effective number of draws (n,)
-    shrinkage : posterior variance over population variance (n, p), 0 to 1; 1 where the data do not inform the
-        parameter
-    misfit : squared Mahalanobis distance (n,) of the readings from those of the population mean, with the
-        covariance of population and noise together; chi-square with as many degrees of freedom as readings
+    effective : effective number of draws (n,); shrinkage : posterior over population variance (n, p), 1 where
+        the data do not inform the parameter
+    misfit : squared Mahalanobis distance (n,) of the readings from those of the population mean, by
+        population and noise together; chi-square with as many degrees of freedom as readings
     """
 
     mean: Array

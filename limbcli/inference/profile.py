@@ -26,13 +26,10 @@ Held = Callable[[float, Array], tuple[float, Array]]
 class Profile:
     """Profile likelihood of one parameter.
 
-    values : (n,) increasing
-    deviance : (n,) decrease of twice the log likelihood from its maximum
-    thetas : (n, n_parameters) refitted parameters at the values
-    low, high : ends of the interval
-    open_low, open_high : the profile is still below the threshold at that bound, so the data exclude nothing
-        on that side
-    ends : (2, n_parameters) theta at low and at high
+    values, deviance : (n,) increasing, and decrease of twice the log likelihood from its maximum
+    thetas : (n, n_parameters) refitted at the values; ends : (2, n_parameters) at low and at high
+    open_low, open_high : the profile is below the threshold at that bound: the data exclude nothing on that
+        side
     """
 
     name: str
@@ -97,10 +94,9 @@ def profile_likelihood(
     """Profile likelihood of parameter `index`, followed outwards from the best fit to its bounds.
 
     objective : residuals in standard deviations, so that its cost is chi-square
-    scale : the deviance is divided by it (1, or chi-square per degree of freedom where the data scatter more
-        than their stated noise)
-    threshold : deviance at the ends of the interval; the 95 % quantile of chi-square with one degree of
-        freedom, or `threshold_95` where the noise may be larger than stated
+    scale : the deviance is divided by it (chi-square per degree of freedom where the data scatter more than
+        stated)
+    threshold : deviance at the ends; the 95 % quantile of chi-square, or `threshold_95`
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87; Raue et al. 2009, Bioinformatics 25:1923.
     """
@@ -149,10 +145,8 @@ class Side:
 
 def walk(at: Held, start: Point, grid: Array, threshold: float) -> Side:
     """Follow the deviance from the best fit along the grid (n,) until it exceeds the threshold, then locate
-    the crossing.
-
-    at : (x, a theta nearby) -> (deviance, theta) with the quantity held at x; infinite where no parameters
-        within their bounds give x, at which the walk ends
+    the crossing; at : (x, a theta nearby) -> (deviance, theta) with the quantity held at x, infinite, where
+    the walk ends, if no parameters within their bounds give x
     """
     points: list[Point] = []
     inside = start

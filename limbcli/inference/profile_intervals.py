@@ -66,16 +66,14 @@ def force_intervals(
     match: CurveMatch, stiffness: Stiffness, theta: Array, *, free: Sequence[int] = (0, 1),
     max_solves: int = 12, shape_modes: Array | None = None, progress: Progress = SILENT,
 ) -> Intervals:  # fmt: skip
-    """Profile likelihoods of f_kappa and m (those in `free`), with c varying within its own and the mesh's
-    uncertainty.
+    """Profile likelihoods of f_kappa and m (those in `free`) about the fit's theta, with c varying within its
+    own and the mesh's uncertainty.
 
     Chi-square = sum (F_exp - F_sim)^2 / (sigma_F^2 + (dF/dd sigma_d)^2) + (ln c/c0)^2 / sigma^2, with the
-    slopes dF/dd of the fit. At most `max_solves` simulations are added to those of the curve. `best` of the
-    result is (c, the parameters in `free`), followed by the mesh's gain where layers have a fixed stiffness.
+    slopes dF/dd of the fit. At most `max_solves` simulations are added. `best` of the result is (c, the free
+    parameters), then the mesh's gain where layers have a fixed stiffness.
 
-    theta : (f_kappa, m) of the fit
-    shape_modes : (n_modes, n_knots) changes of ln force, one standard deviation each, due to the uncertainty
-        of the model's geometry
+    shape_modes : (n_modes, n_knots) changes of ln force, one standard deviation each, by uncertain geometry
     """
     problem = _ForceProblem(match, stiffness, theta, tuple(free), shape_modes)
     estimate = problem.starts()[0]

@@ -90,15 +90,13 @@ NO_LAYERS = LayerData(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0), np.
 
 @dataclass(frozen=True, eq=False)
 class SiteMeasurement:
-    """Measurement of one site, and the depths of its simulated levels.
+    """Measurement of one site or state, and the depths of its simulated levels, `knots` (n_knots,) mm,
+    increasing.
 
-    knots : (n_knots,) depths of the simulated levels (mm), increasing
-    force, depth : (n,) levels past first touch
-    speed_force, log_speed, speed_deviation : (n_speeds,) force (N), ln speed and its standard deviation,
-        first touch included
-    force_deviation, depth_deviation : one standard deviation each
+    force, depth : (n,) levels past first touch, with one standard deviation each
+    speed_force, log_speed, speed_deviation : (n_speeds,) force (N), ln speed and its deviation, first touch
+        included
     gain_deviation : relative standard deviation of the simulated force (mesh, element)
-    layers : thickness of the layers at given force
     """
 
     name: str
@@ -156,11 +154,10 @@ def predict_site(
 ) -> SitePrediction:  # fmt: skip
     """Prediction of a site's measurement from its curve simulated with this shape.
 
-    answer : forces at the knots (N); then speeds there (m/s), which may be missing if the data have none;
-        then, where the data have layers, the depths below the skin (mm) of all layer borders at the first
-        knot, at the second, ...; for c_ratio 1 and gain 1
-    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1; the speed is sqrt(c / (2 rho)), except for
-        laws with fibres
+    answer : forces at the knots (N); then speeds there (m/s), unless the data have none; then, where the data
+        have layers, the depths below the skin (mm) of all borders at the first knot, ...; for c_ratio 1 and
+        gain 1
+    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1, sqrt(c / (2 rho)) but for laws with fibres
 
     `stiffness` (n,) of the result is dF/dd at the forces (N/mm).
     """

@@ -35,12 +35,9 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """x = ln theta -> coordinates in which the surrogate is stationary, each with shift 0 or 1.
-
-    They are (1 + shift) ln(theta / largest + shift): ln theta without a shift, and with one about linear in
-    theta where theta is not small. Forces grow as stretch^m, so that their logarithm is about linear in m.
-
-    largest (p,) : ln of each parameter's largest solved value; shift (p,)
+    """x = ln theta -> coordinates in which the surrogate is stationary, (1 + shift) ln(theta / largest +
+    shift), shift 0 or 1: ln theta, or about linear in theta where it is not small. Forces grow as stretch^m,
+    so that their logarithm is about linear in m. largest (p,) : ln of each parameter's largest solved value
     """
 
     largest: Array
@@ -54,11 +51,9 @@ class Coordinates:
 
 
 class Surrogate:
-    """ln theta (p,) -> ln value (q,), with derivative and standard deviation.
-
-    Squared-exponential kernel in ln theta over a linear trend (universal kriging with derivatives); the
-    length scales maximise the likelihood over a small grid, and so does the choice of each parameter's
-    coordinate (`Coordinates`).
+    """ln theta (p,) -> ln value (q,), with derivative and standard deviation: universal kriging with
+    derivatives, of a squared-exponential kernel over a linear trend. Length scales and each parameter's
+    coordinate (`Coordinates`) maximise the likelihood over a small grid.
 
     Source: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.7, 9.4.
     """

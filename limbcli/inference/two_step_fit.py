@@ -115,12 +115,10 @@ def two_step(
 ) -> tuple[FittedStep, FittedStep]:  # fmt: skip
     """Identify (f_kappa, m) from a force-depth curve, with c held fixed.
 
-    Minimises the sum of squared F_exp - F_sim at the measured depths, with the simulated curve interpolated
-    by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over both from that result
-    (Ogden type), each parameter normalised by its start value.
-
-    Each iteration first tries the minimum on a surrogate of the solved points, which saves simulations; the
-    end point must pass the same tests as without.
+    Minimises the sum of squared F_exp - F_sim at the measured depths: first over f_kappa from 100 with m = 2
+    (Mooney-Rivlin type), then over both from that result (Ogden type), each normalised by its start value.
+    The minimum on a surrogate of the solved points is tried first; the end point passes the same tests as
+    without.
 
     Raises FitError with fewer than three loaded levels, or if a step does not converge.
     """

@@ -137,11 +137,10 @@ def _distribution(several: Sequence[Truncated]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Evidence of one explanation, and its parameters' distribution about the fit.
+    """Evidence of one explanation, but for a constant of the data, and its parameters' distribution about the
+    fit.
 
-    ln_evidence : but for a constant common to all explanations of the same data
-    step, covariance : (p,), (p, p) mean of the parameters less the fitted values, and their covariance, both
-    without the limits
+    step, covariance : (p,), (p, p) mean less the fitted values, and covariance, both without the limits
     chi2 : of the residual at the fit; shares : of the scalable errors; level : factor on all noise
     """
 
@@ -169,10 +168,8 @@ def posterior(
     fitted: Fitted, y: Array, noise: Noise, scalable: Sequence[Scalable] = (), *, form: Array | None = None,
     relative: bool = False,
 ) -> Posterior:  # fmt: skip
-    """The posterior of a fit to the data y (n,).
-
-    form (n, n) : covariance of the error of the effects' own form; relative : the level of the noise is
-    unknown
+    """The posterior of a fit to the data y (n,); form (n, n) : covariance of the error of the effects' own
+    form; relative : the level of the noise is unknown
     """
     noise = noise.amplified(fitted.amplification)
     known = {each.name: each for each in scalable if each.name in noise.names}

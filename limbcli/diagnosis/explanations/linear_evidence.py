@@ -77,11 +77,10 @@ class Added:
 
 @dataclass(frozen=True, eq=False)
 class LinearEvidence:
-    """Bayes factors of one effect more about a fit.
+    """Bayes factors of one effect more about a fit, from one `Added` for each point of each effect's grid.
 
-    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: at the fit, what
-        their priors hold back would count as the effect's
-    added : by effect, one `Added` for each point of its grid
+    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: what their priors
+        hold back at the fit would count as the effect's
     """
 
     residual: Array
@@ -134,12 +133,9 @@ class LinearEvidence:
 
 
 def least_by_chance(linear: LinearEvidence, ln_odds: float, rng: np.random.Generator) -> float:
-    """Probability of "nothing" against all single effects, below which a share `FALSE_ALARMS` of draws lies.
-
-    The draws are of the noise about the fit without effects, in the linear model that each effect is to first
-    order: no simulation is needed. 0 if there are no effects.
-
-    ln_odds : prior odds of a single effect over nothing
+    """Probability of "nothing" against all single effects (`ln_odds` : of one over nothing), below which a
+    share `FALSE_ALARMS` of draws lies: of the noise about the fit without effects, to first order. 0 without
+    effects.
     """
     if not linear.added:
         return 0.0

@@ -112,10 +112,8 @@ def credible(several: Sequence[Explained]) -> list[Explained]:
 
 
 def named(several: Sequence[Explained]) -> Explanation:
-    """The most probable explanation that has, with those that contain it, the probability `CREDIBLE`; none if
-    there is no such one. It must be likely itself: of two effects that both show, neither is named alone.
-
-    several : the most probable first
+    """The most probable explanation that is likely itself and has, with those that contain it, the
+    probability `CREDIBLE`; else none: of two effects that both show, neither is named alone.
     """
     for each in several:
         likely = each.probability > decisions.UNSETTLED
@@ -129,8 +127,8 @@ class Search:
     """Explanations of one data set.
 
     known : posteriors of what was fitted; settled : what needs no further fit or simulation
-    linear : linear evidence of one effect more, about the fits of some explanations
-    relative : the noise level is estimated in every explanation
+    linear : evidence of one effect more, about the fits of some explanations; relative : the noise level is
+        estimated
     """
 
     forward_model: ForwardModel

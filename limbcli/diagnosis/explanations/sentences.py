@@ -38,10 +38,8 @@ def percent(probability: float) -> str:
 
 
 def sentences(found: Diagnosis) -> list[str]:
-    """Summary lines, at most eight, in the order of a reader's questions.
-
-    Verdict, fit, where and what, explanations, reduction of the residual, undetectable effects, next
-    measurement, candidates not evaluated.
+    """Summary lines, at most eight, in the order of a reader's questions: verdict, fit, where and what,
+    explanations, reduction of the residual, undetectable effects, next measurement, candidates not evaluated.
     """
     lines = [
         f"{_verdict(found)} Why: {found.reason}.",
