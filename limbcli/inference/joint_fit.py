@@ -52,7 +52,7 @@ class JointTask:
     curves : by site; the same one for all states, of (shape, stretches)
     c0 : MPa, the c of the curves; even_speed : of states, the speed in evenly stretched tissue, to which the
         speeds of the curve and, as its last value, that at rest are relative
-    log_speed_0 : ln sqrt(c0 / (2 rho)) in m/s, by site, or as `RestSpeed`; of states see `States`
+    log_speed_0 : ln sqrt(c0 / (2 rho)) in m/s, by site, or as `RestSpeed`; of states none
     c_deviation : standard deviation of a prior on ln c around c0; None where the speeds determine c
     beside_layers : by site, whether its curve is a function of (c / c0, shape...), because its layers have a
         fixed stiffness
@@ -106,11 +106,9 @@ class JointProblem(Likelihood):
                 len(parameters), c0=task.c0, shape=range(1, first), beside_layers=beside, gain=gain, **own
             )
             emulator = Emulator(curve) if states is None or not blocks else blocks[0].emulator
-            if states is not None:
-                blocks.append(SiteBlock(data, emulator, place, even_speed=task.even_speed))
-            else:
-                rest = task.log_speed_0[k]
-                blocks.append(SiteBlock(data, emulator, place, rest_speed_by_c(rest) if beside else rest))
+            rest = task.log_speed_0[k] if task.log_speed_0 else 0.0
+            rest = rest_speed_by_c(rest) if beside else rest
+            blocks.append(SiteBlock(data, emulator, place, rest, even_speed=task.even_speed))
         ones = np.ones(len(self.gained))
         super().__init__(
             parameters, blocks, [np.r_[each, ones] for each in starts],
