@@ -36,10 +36,10 @@ class Identified(CurveMatch):
 
     modes : changes of ln force (n_modes, n_knots), one standard deviation each, by what is not known of the
     model's geometry and boundaries
-    gains : numerical error of ln force at each step's parameters; empty: that of `stiffness`
+    known : c with its uncertainty, and the numerical error of ln force, at each step
     """
 
-    stiffness: Stiffness
+    known: Sequence[Stiffness]
     c_source: str
     start: Array
     steps: Sequence[FittedStep]
@@ -47,13 +47,14 @@ class Identified(CurveMatch):
     cold_seconds: float
     why_no_intervals: str = "no interval was requested"
     modes: Array | None = None
-    gains: Sequence[float] = ()
+
+    @property
+    def stiffness(self) -> Stiffness:
+        return self.known[-1]
 
     def gain_of(self, step: FittedStep) -> float:
         """Numerical error of ln force at the step's parameters, one standard deviation."""
-        if not self.gains:
-            return self.stiffness.gain_deviation
-        return self.gains[self.place(step)]
+        return self.known[self.place(step)].gain_deviation
 
     def place(self, step: FittedStep) -> int:
         return next(k for k, each in enumerate(self.steps) if each is step)

@@ -156,9 +156,8 @@ def _fit_site(
             if wide is not None:
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
-            **vars(match), stiffness=known[-1], c_source=c_source, start=START, steps=steps,
-            intervals=intervals, cold_seconds=cold, why_no_intervals=why_none,
-            modes=modes if len(modes) else None, gains=gains,
+            **vars(match), known=known, c_source=c_source, start=START, steps=steps, intervals=intervals,
+            cold_seconds=cold, why_no_intervals=why_none, modes=modes if len(modes) else None,
         )  # fmt: skip
         simulation = _write_fitted_run(fitted, solver, levels_there, writer, options, progress)
         write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
