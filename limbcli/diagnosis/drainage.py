@@ -63,8 +63,7 @@ class DrainageSolver:
 
     @staticmethod
     def chosen(kind: str, febio: Path | None) -> DrainageSolver | None:
-        """FEBio, if that is what `solvers.choose` gives (whose errors it raises), as only it simulates
-        drainage."""
+        """FEBio, if `solvers.choose` gives it (or raises its errors): only it simulates drainage."""
         solver = choose(kind, febio)
         named = kind == FebioSolver.name
         return DrainageSolver(solver, named) if isinstance(solver, FebioSolver) else None

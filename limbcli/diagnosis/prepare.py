@@ -120,10 +120,8 @@ def prepare(
 def turned_by_90(
     case: Case, prepared: Prepared, *, out: Path, mesh: WorkingMesh, progress: Progress
 ) -> SiteCurves:
-    """Curves of the same measurement with the probe's long side turned by 90 degrees.
-
-    Raises MeshError or SolveError if the place cannot be meshed or simulated with the turned probe.
-    """
+    """Curves of the same measurement with the probe's long side turned by 90 degrees; raises MeshError or
+    SolveError if the place cannot be meshed or simulated so."""
     site, known = prepared.site, prepared.curves
     other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")

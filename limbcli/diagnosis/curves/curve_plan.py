@@ -165,7 +165,6 @@ class SiteWork:
 
     @property
     def spent(self) -> bool:
-        """Whether the work limit of the diagnosis is reached; further fits are then reported without
-        simulations of their own."""
+        """Whether the work limit of the diagnosis is reached: further fits are then not simulated."""
         usual = _TIMES_USUAL_IN_ALL * max(self.mean, _LEAST_USUAL)
         return self.total > min(usual, _MOST_IN_ALL / max(self.n_cells, 1))

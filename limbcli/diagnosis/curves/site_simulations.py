@@ -236,8 +236,7 @@ class SiteSimulations:
         return found.curves
 
     def _plain_deformations(self, m: float) -> list[tuple[float, SolvedDeformation]]:
-        """Deformations without effects at the exponents `FIRST_M`, where solved, with their interpolation
-        weights at this m."""
+        """Deformations without effects at `FIRST_M`, where solved, with their interpolation weights at m."""
         found = list(where_solved(self.kinematics, sorted(FIRST_M)).items())
         if len(found) < len(FIRST_M):
             return [(1.0, each) for _, each in found[:1]]
@@ -264,8 +263,7 @@ class SiteSimulations:
     # ------------------------------------------------------------ what is read of a solve
 
     def _values(self, solve: Solve) -> Array:
-        """Displacements at the levels reached, in the precision of the memo, so that a resumed diagnosis
-        continues with the same numbers."""
+        """Displacements at the levels reached, in the memo's precision, with which a resumed run goes on."""
         return solve.result.simulation.nodes[_FILE].values[solve.result.rows].astype(np.float32).astype(float)
 
     def deformation(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:

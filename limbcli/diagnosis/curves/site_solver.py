@@ -60,17 +60,14 @@ class SiteModels:
         return applied(tissue, ingredients, waves=waves)
 
     def to_solve(self, m: float, ingredients: Ingredients, times: Sequence[float]) -> LimbModel:
-        """The model made easier to solve, for curves at these times (s).
-
-        With friction, a load step for each time: two change what friction does by 2 % of it.
-        """
+        """The model made easier to solve, for curves at these times (s); with friction by a load step for
+        each: two change what friction does by 2 % of it."""
         model = softer_jumps(self.of(m, ingredients))
         model = replace(model, steps=tuple(replace(each, must_points=tuple(times)) for each in model.steps))
         return fewer_steps(model, len(times)) if model.has_friction else model
 
     def key(self, m: float, ingredients: Ingredients) -> str:
-        """Hash of the exponent and of what the effects make of the model, so that a modified implementation
-        of an effect is solved again."""
+        """Hash of the exponent and of what the effects, as now implemented, make of the model."""
         parts = [
             [effect.name, {k: round(float(v), 9) for k, v in sorted(theta.items())}]
             for effect, theta in ingredients

@@ -164,10 +164,7 @@ def _binned(at: Array, values: Array, grid: Array) -> Array:
 
 
 def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels, n: int) -> Array | None:
-    """Depth (n,) on the grid, with each hold at its level's depth; None if their numbers do not match.
-
-    The hold of the first level may be missing.
-    """
+    """Depth (n,) on the grid by each hold's level (the first may be missing); None if they do not match."""
     wanted = levels.depth[np.isfinite(levels.depth)]
     if len(holds) == len(wanted) - 1 and float(np.mean(force[slice(*holds[0])])) > 0.5 * levels.force[1]:
         wanted = wanted[1:]
@@ -178,8 +175,7 @@ def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels,
 
 
 def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Array]:
-    """Windows (n_features, 2, 2), consecutive periods of a hold, and the mean force (n_features,) of their
-    holds."""
+    """Consecutive periods of the holds (n_features, 2, 2), and their holds' mean force (n_features,)."""
     windows, means = [], []
     for a, b in holds:
         mean = float(np.mean(force[a:b]))

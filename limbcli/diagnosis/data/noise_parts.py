@@ -114,8 +114,7 @@ class MapNoise:
         return MapNoise(windows.middles, size, (pitch_of(lateral), pitch_of(depth)), pixel, strain)
 
     def of_pixels(self, rows: SiteRows, own: Array) -> Array:
-        """Covariance (n, n) of the parts from pixel noise; own (n,) : standard deviations if the pixels were
-        independent."""
+        """Covariance (n, n) of the parts; own (n,) : standard deviations if their pixels were independent."""
         sides = [
             _side_correlation(self.pixel, np.subtract.outer(at, at), size, pitch)
             for at, size, pitch in zip(self.middles.T, self.size, self.pitch, strict=True)

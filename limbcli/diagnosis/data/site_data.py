@@ -153,10 +153,8 @@ class SiteData:
         return np.where(self.rows.level < len(self.protocol), self.rows.level, 0)
 
     def _further(self, curves: Curves, reading: Reading) -> Array:
-        """Distance (n_levels,) in mm from the depth read to that at which the model has the measured force.
-
-        Limited to `_DEPTH_OUTLIER_SD` standard deviations of the depth.
-        """
+        """Distance (n_levels,) in mm from the depth read to where the model has the measured force, limited
+        to `_DEPTH_OUTLIER_SD` standard deviations of the depth."""
         found = np.zeros(len(self.protocol))
         if self.seen.noise.depth <= 0:
             return found

@@ -52,8 +52,7 @@ class BlindSpot:
 
     @property
     def matters(self) -> bool:
-        """Whether an effect of typical size would be undetected and bias a parameter by more than one
-        standard deviation."""
+        """Whether a typical effect would be undetected and bias a parameter by more than a deviation."""
         return self.is_undetectable and any(
             abs(each) > decisions.BIAS_MATTERS_SD for each in self.bias_sd.values()
         )
@@ -100,8 +99,7 @@ def _detectable(information: float, prior: float, ln_factor: float) -> float:
 @dataclass(frozen=True, kw_only=True)
 class NextStep:
     """One proposal: expected fall of the entropy over the compared explanations, and the entropy before it;
-    expected probability of the true explanation afterwards, and as things stand (`before`).
-    """
+    expected probability of the true explanation afterwards, and as things stand (`before`)."""
 
     name: str
     sentence: str
@@ -124,8 +122,7 @@ def ranked(
 
 
 def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.Generator) -> NextStep:
-    """The predictive distribution of a member is normal: the measurement's noise, and what the data leave of
-    its parameters."""
+    """What a member predicts is normal: by the measurement's noise and its parameters' covariance."""
     weights = np.array([each.probability for each in several])
     weights = weights / weights.sum()
     means, roots = [], []
@@ -162,8 +159,7 @@ def _ln_density(drawn: Array, mean: Array, root: Array) -> Array:
 class Shrink:
     """Goodness of fit at one stage of the model, from the base to the full explanation: of the best fit, by
     channel the rms of residual / standard deviation, and held_out by block, "all" over those that every stage
-    predicts.
-    """
+    predicts."""
 
     explanation: Explanation
     chi2: float

@@ -50,8 +50,7 @@ class Estimates:
 def estimates(several: Sequence[tuple[float, Posterior]], *, imaged: bool = True) -> Estimates:
     """Estimates over explanations, each with its weight, of c and m, and of the sizes of the first one's
     effects, over those that have them; what has no posterior is as in the first. imaged : there are maps
-    among the data
-    """
+    among the data"""
     fitted = several[0][1].fitted
     values, intervals, open_ends = dict(fitted.values), {}, {}
     for k, letter in enumerate(fitted.base_names):
@@ -85,8 +84,7 @@ def sizes_95(
 ) -> dict[str, dict[str, tuple[float, float]]]:
     """95 % interval of every size of an effect when it alone is added: from its fit, and to first order at
     the other points of its grid, by their evidence: of an absent effect the most probable point is a matter
-    of chance.
-    """
+    of chance."""
     found: dict[str, dict[str, tuple[float, float]]] = {}
     for name, points in linear.added.items():
         fit, best = alone.get((name,)), linear.best(name)

@@ -81,8 +81,7 @@ class Prior:
 @dataclass(frozen=True, eq=False)
 class Direction:
     """Sensitivities `columns` (n, q), not whitened, to the sizes of an effect at its null value, whose priors
-    are by name; point : of the effect's grid; at : initial values of the fitted grid parameters there
-    """
+    are by name; point : of the effect's grid; at : initial values of the fitted grid parameters there"""
 
     columns: Array
     priors: Mapping[str, Prior]

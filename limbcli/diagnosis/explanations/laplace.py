@@ -169,8 +169,7 @@ def posterior(
     relative: bool = False,
 ) -> Posterior:  # fmt: skip
     """The posterior of a fit to the data y (n,); form (n, n) : covariance of the error of the effects' own
-    form; relative : the level of the noise is unknown
-    """
+    form; relative : the level of the noise is unknown"""
     noise = noise.amplified(fitted.amplification)
     known = {each.name: each for each in scalable if each.name in noise.names}
     scaled = {part.name: part.covariance for part in noise.parts if part.name in known}
@@ -204,10 +203,8 @@ def posterior(
 
 
 def _largest(along: Callable[[float], Posterior], first: Posterior, low: float, high: float) -> Posterior:
-    """The posterior with the largest evidence between two values of one unknown, from the known one at 0.
-
-    Steps up or down while the evidence rises, then the summit of the parabola through the best three.
-    """
+    """The posterior with the largest evidence between two values of one unknown, from the known one at 0, by
+    steps while the evidence rises, then the summit of the parabola through the best three."""
     found = {0.0: first}
 
     def value(x: float) -> float:
@@ -233,8 +230,7 @@ def _largest(along: Callable[[float], Posterior], first: Posterior, low: float, 
 def gaussian(
     fitted: Fitted, r: Array, J: Array, ln_root: float, shares: Mapping[str, float], level: float
 ) -> Posterior:
-    """The posterior from the whitened residual r (n,) and sensitivities J (n, p); ln_root : half ln det
-    Sigma."""
+    """The posterior from whitened residual r (n,) and sensitivities J (n, p); ln_root : ln det Sigma / 2"""
     priors = fitted.priors
     A = J.T @ J + np.diag(priors.precision)
     pull = J.T @ r + priors.precision * priors.shift

@@ -48,8 +48,7 @@ class LinearFit:
     def of(residual: Array, jacobian: Array, *, as_it_stands: bool = False) -> LinearFit:
         """The fit, or with `as_it_stands` that where it stopped: if a linear step along J would reduce chi2
         by more than one, that direction is removed from the span. A prior, a bound, or a kink in the model
-        stopped the fit, and following the derivatives would assume implausible sizes.
-        """
+        stopped the fit, and following the derivatives would assume implausible sizes."""
         length = np.linalg.norm(jacobian, axis=0)
         u, s, _ = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0), full_matrices=False)
         basis = u[:, s > _RANK * np.max(s, initial=1e-300)]

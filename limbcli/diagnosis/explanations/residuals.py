@@ -107,8 +107,7 @@ def _statistics(
 
 
 def _base(data: Data, mask: Mask, state: LinearFit, whiten: Whitener) -> Array:
-    """Orthonormal basis (n, rank) of the shifts of a part's data that the fitted parameters cannot
-    reproduce."""
+    """Orthonormal basis (n, rank) of the shifts of a part's data that no fitted parameter reproduces."""
     shifts = np.eye(len(mask))[:, mask] if mask.sum() <= _FEW_DATA else _even(data, mask)
     seen = state.project(whiten(shifts))
     return np.asarray(orth(seen, rcond=_RCOND)) if np.any(seen) else np.zeros((len(mask), 0))
@@ -132,8 +131,7 @@ def _scaled(values: Array, mask: Mask) -> Array:
 @dataclass(frozen=True)
 class Roughness:
     """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated); p of this much or more, of
-    heavy-tailed errors, by a scaled chi2 (Satterthwaite) of mean nu and variance 2 nu + excess sum P_ii^2.
-    """
+    heavy-tailed errors, by a scaled chi2 (Satterthwaite) of mean nu and variance 2 nu + excess sum P_ii^2."""
 
     ratio: float
     p: float
@@ -142,8 +140,7 @@ class Roughness:
 def roughness(
     state: LinearFit, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
 ) -> Roughness | None:
-    """Compare the rough part of the residual with the stated noise; None if fewer than `_LEAST_NU` degrees of
-    freedom remain."""
+    """The residual's rough part over the stated noise; None below `_LEAST_NU` degrees of freedom."""
     n = len(order)
     columns = [state.jacobian]
     for mask in series.values():

@@ -113,8 +113,7 @@ def credible(several: Sequence[Explained]) -> list[Explained]:
 
 def named(several: Sequence[Explained]) -> Explanation:
     """The most probable explanation that is likely itself and has, with those that contain it, the
-    probability `CREDIBLE`; else none: of two effects that both show, neither is named alone.
-    """
+    probability `CREDIBLE`; else none: of two effects that both show, neither is named alone."""
     for each in several:
         likely = each.probability > decisions.UNSETTLED
         if each.explanation and likely and containing(each.explanation, several) >= decisions.CREDIBLE:
@@ -226,8 +225,7 @@ class Search:
         return sorted(found, key=lambda one: (-one.probability, len(one.explanation)))
 
     def _of_pairs(self, names: Sequence[str]) -> dict[Explanation, float]:
-        """Linear estimates: about the more probable of the fits of its two effects, where that was
-        linearised; else about the fit without effects."""
+        """Linear estimates about the likelier linearised fit of a pair's effects, else about that without."""
         nothing = self.known[()].ln_evidence
         found: dict[Explanation, float] = {}
         for pair in itertools.combinations(names, 2):

@@ -50,8 +50,7 @@ def diagnose(
     progress: Progress = SILENT,
 ) -> Diagnosis:  # fmt: skip
     """Diagnose one forward model. Deterministic for a given seed. Raises LimbError if the base model itself
-    cannot be fitted.
-    """
+    cannot be fitted."""
     return _Run(forward_model, max_effects, seed, propose, progress).run()
 
 

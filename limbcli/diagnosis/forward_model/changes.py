@@ -55,8 +55,7 @@ def _two_sided(p: Parameter, there: Array, other: Array) -> Callable[[float], Ar
 
 
 def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Array]:
-    """Spline through changes at distances from null, in units of that of the start value; linear beyond
-    them."""
+    """Spline through changes at distances from null, in units of the start value's; linear beyond."""
     spline = CubicSpline(times, table)
 
     def at(value: float) -> Array:
@@ -122,8 +121,7 @@ class Changes:
         return lambda theta: at(*(float(theta.get(name, start[name])) for name in names))
 
     def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> Callable[[float], Array]:
-        """In proportion to a simulation at the start value; for a two-sided parameter from one more, on the
-        other side of null, if it has a solution."""
+        """From a simulation at the start value; if two-sided, also from one opposite, where it is solved."""
         there = self._solved_at(effect, point, p, p.start)
         if p.both_sides:
             with contextlib.suppress(SolveError):
@@ -240,8 +238,7 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Ingredients) -> Ar
 
 
 def logs(curves: Curves) -> Array:
-    """(n, 1 + n_parts + n_lines): ln force (0 at depth 0), ln speeds, ln depths of lines if these are
-    tracked."""
+    """ln force (0 at depth 0), ln speeds, and ln depths of lines if tracked: (n, 1 + n_parts + n_lines)."""
     log_force = np.zeros(len(curves.depth))
     log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
     return np.column_stack([log_force, curves.columns])

@@ -282,8 +282,7 @@ class SiteForwardModel(Predictions):
     # ------------------------------------------------------------
 
     def _column(self, fitted: Fitted, effect: Effect, slot: Slot, point: Theta) -> Array:
-        """Sensitivity at the effect's null value by finite differences of the surrogate about the fitted
-        model."""
+        """Sensitivity at the effect's null value by finite differences of the surrogate about the fit."""
         p, old = slot.parameter, self.model_of(fitted)
         new = old.added(effect.name, effect.held(point))
         slots = self.slots(new.explanation)

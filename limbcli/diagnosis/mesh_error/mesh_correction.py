@@ -211,8 +211,7 @@ def _usual(checks: NumericalChecks, several: Sequence[float]) -> MeshCorrection:
 
 
 def _by_own_mesh(checks: NumericalChecks, several: Sequence[float]) -> MeshCorrection | None:
-    """Correction from simulations with these m on the site's own mesh; None, with a warning, if
-    impossible."""
+    """Correction by simulations with these m on the site's own mesh; or None, with a warning."""
     found: dict[float, Curves] = {}
     why, h, simulations = "", _USUAL_EDGE, checks.simulations
     try:
@@ -296,10 +295,7 @@ class Penetration:
 
 
 def penetration(harder: Curves, softer: Curves) -> Penetration | None:
-    """Penetration of `harder`, extrapolated from that of `softer`, which has a quarter of its penalty.
-
-    None if the two do not determine it (the softer contact gives no less force).
-    """
+    """Penetration of `harder`, by `softer` with a quarter of its penalty; None if that has no less force."""
     rising = np.flatnonzero((np.diff(softer.force, prepend=0.0) > 0) & (softer.depth > 0))
     if len(rising) < 2:
         return None
