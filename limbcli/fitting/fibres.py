@@ -102,10 +102,8 @@ def mean_fibre(model: LimbModel) -> Array:
 def write_orientations(
     models: Sequence[tuple[str, LimbModel]], has_speeds: Sequence[bool], writer: StageWriter
 ) -> None:
-    """Write `orientations` of fit-joint.json, and warnings about what they cannot determine.
-
-    models : site name and model; has_speeds : for each site, whether speeds were read
-    """
+    """Write `orientations` of fit-joint.json, and warnings about what those with and without speeds cannot
+    determine; models : site name and model"""
     shares = {name: share_along(model) for name, model in models}
     writer.data["orientations"] = {
         name: {

@@ -168,8 +168,7 @@ class LawCurve:
         return softer_jumps(model, FIBRE_BAND) if self.law.has_fibres else model
 
     def _solve(self, model: LimbModel, **options: Any) -> SessionResult:
-        """Solve the smoothed model from the levels converged so far; if that fails with fibres, from those
-        with a wider band."""
+        """Solve the smoothed model from converged levels; if that fails, from those with a wider band."""
         if not self.law.has_fibres:
             return self._session.solve(model, **options)
         if self._session.kept_levels is not None:
@@ -179,10 +178,8 @@ class LawCurve:
         return self._session.solve(self._eased(model), **options)
 
     def with_penalty(self, theta: Array, penalty: float) -> Array:
-        """Forces (n_reached,) N with another contact penalty and the same law, from converged levels.
-
-        Raises SolveError if not even the first level is reached.
-        """
+        """Forces (n_reached,) N with another contact penalty, from converged levels; SolveError if none is
+        reached."""
         return self._again(with_penalty(self.fitted(theta), penalty), "contact check")
 
     def with_boundary(self, theta: Array, boundary: ChangedBoundary) -> Array:
@@ -286,8 +283,7 @@ class FileCurve:
         return Differences(self, upper=upper, relative_step=relative_step, run_all=self.run_side_by_side)
 
     def run_side_by_side(self, evaluate: Callable[[Array], Any], thetas: Iterable[Array]) -> Iterable[Any]:
-        """Evaluate all thetas, in parallel on the available cores; the first error is raised once all have
-        ended."""
+        """Evaluate all thetas in parallel; the first error is raised once all have ended."""
         todo = list(thetas)
         processes, threads = shares(len(todo), available_cores())
         if isinstance(self._solver, FebioSolver):

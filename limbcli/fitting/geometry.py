@@ -170,10 +170,7 @@ def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryUn
 def write_geometry(
     found: Identified, uncertainty: GeometryUncertainty, of_noise: Intervals | None, writer: StageWriter
 ) -> None:
-    """Write `geometry_uncertainty` of fit.json, and a line of the summary.
-
-    of_noise : intervals due to the measurement's noise alone; None if none were computed
-    """
+    """Write `geometry_uncertainty` of fit.json, beside the intervals `of_noise` alone, and a summary line."""
     rows = _rows(found, uncertainty)
     share = total_share(list(uncertainty.modes))
     # standard deviations of ln f_kappa and ln m due to the geometry alone

@@ -128,10 +128,7 @@ class CheckSolver:
     progress: Progress = SILENT
 
     def forces(self, model: LimbModel, check: str) -> Array:
-        """Forces (n_reached,) N at levels of a model that was changed for this check.
-
-        Raises SolveError if the model cannot be solved.
-        """
+        """Forces (n_reached,) N at levels of a model that was changed for this check, or SolveError."""
         if self.rows is not None and len(model.steps) == 1:
             (step,) = model.steps
             fewer = replace(step, must_points=tuple(step.must_points[k] for k in self.rows))

@@ -152,8 +152,7 @@ LAWS: Mapping[str, FitLaw] = {
 
 
 def first_shapes(law: FitLaw) -> list[Array]:
-    """Initial guesses: the default shape, and shapes with one parameter changed by its step factor (f_kappa:
-    a tenth)."""
+    """Initial guesses: the default shape, and shapes with one parameter doubled (f_kappa: a tenth)."""
     base = np.array([each.start for each in law.shape])
     shapes = [base]
     for k, parameter in enumerate(law.shape):

@@ -66,10 +66,8 @@ def write_layers(
 def predict_layers(
     model: LimbModel, simulation: Simulation, levels: Levels, layers: LayerReadings
 ) -> PredictedLayers:
-    """The simulated layer thicknesses at every loading level.
-
-    Raises MeasurementError if a border lies outside the model's tissue, or no displacements were recorded.
-    """
+    """The simulated layer thicknesses at every loading level; MeasurementError if a border lies outside the
+    model's tissue, or no displacements were recorded."""
     numbers, rows = simulated_rows(levels, simulation.probe_depth())
     lines = layers.lines(model)
     u = displacements(lines, simulation)

@@ -59,10 +59,8 @@ BOUNDARIES = (
 
 @dataclass(frozen=True, eq=False)
 class ChangedForces:
-    """Forces of the fitted model with another boundary, as ratios (n_reached,) to its own; None without them.
-
-    error : why it could not be solved; None also where the model has no such boundary
-    """
+    """Forces with another boundary as ratios (n_reached,) to the model's own; None if not solved, because of
+    an error or because the model has no such boundary."""
 
     boundary: ChangedBoundary
     ratio: Array | None = None

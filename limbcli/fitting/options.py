@@ -129,10 +129,7 @@ def check_choice(
 
 
 def check_numbers(options: FitOptions) -> None:
-    """Check the range of numbers given by hand.
-
-    Raises CaseError if one is out of range; the message names the option and its range.
-    """
+    """Raise CaseError, which names the option and its range, if a number given by hand is out of range."""
     if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
         fix = "give the number of a cycle (1, 2, ...) or last"
         raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)

@@ -143,10 +143,7 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
 
 
 def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
-    """Write the summary, `misfit` and the force's `agreement`.
-
-    last : table of the last step
-    """
+    """Write the summary, `misfit` and the force's `agreement`; last : table of the last step"""
     met, poor = step_agreement(found, found.steps[-1]), ""
     if met.state == "bad":
         poor = met.words

@@ -97,10 +97,8 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
 
 
 def total_covariance(found: Identified, step: FittedStep) -> Array:
-    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for parameters not searched or without influence.
-
-    If the data scatter more than their stated noise, the noise is scaled as for the intervals.
-    """
+    """Covariance (3, 3) of ln c, ln f_kappa, ln m, with the noise scaled as for the intervals; NaN for
+    parameters not searched or without influence."""
     answer = sensitivities(found, step.theta)
     variance = found.variance(step.theta)
     free = inside(step)
@@ -212,10 +210,8 @@ def _parameter(
 
 
 def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
-    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %.
-
-    extended_to_fit : the interval ends at the published fit, where the curve is already above the limit
-    """
+    """The profile likelihoods: values, deviance, its limit at 95 %, and whether the interval was extended to
+    the published fit, where the curve is above that limit."""
     if not found.intervals:
         return {}
     limit = found.intervals[k].threshold

@@ -209,10 +209,7 @@ def _numbers(
 
 
 def _judged(numbers: Mapping[str, Any], *, bad: bool, good: str, poor: str) -> FitAgreement:
-    """The verdict of the tests; `bad`: a test of size has already decided.
-
-    good : words of a fit that is not bad, with the field `agrees` for how well it agrees
-    """
+    """The verdict of the tests; bad : a test of size has decided; good : words, with the field `agrees`"""
     chance, below, runs = (numbers.get(name) for name in ("chance", "chance_below", "runs_chance"))
     told = ""
     if chance is not None:

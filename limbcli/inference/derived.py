@@ -21,10 +21,7 @@ _STEP = 1e-4  # finite-difference step in ln theta for the quantity's derivative
 
 @dataclass(frozen=True)
 class DerivedInterval:
-    """Value at the best fit, and the ends of its 95 % interval.
-
-    low, high : ends of the interval; on a side where nothing is excluded, the last value reached
-    """
+    """Value at the best fit, and ends of its 95 % interval; the last reached where nothing is excluded."""
 
     value: float
     low: float

@@ -39,8 +39,7 @@ _NUDGE = 1e-4  # finite-difference step in ln ratio or ln m
 
 @dataclass(frozen=True, eq=False)
 class SolvedMember:
-    """Rows of the solves: coordinates x (n, 6), readings y (n, 4) minus the trend, slopes (n, 4, 2) by the
-    tissue."""
+    """Rows of the solves: x (n, 6), readings y (n, 4) less the trend, slopes (n, 4, 2) by the tissue."""
 
     member: IntArray
     x: Array
@@ -213,8 +212,7 @@ class OfTissue:
 
 
 def is_inside(x: Array) -> NDArray[np.bool_]:
-    """Coordinates (n, 6) that lie within the family's range, except for the tissue, which is not checked:
-    (n,) bool."""
+    """Coordinates (n, 6) within the family's range but for the tissue, which is not checked: (n,) bool."""
     own = [k for k in range(x.shape[1]) if k not in (RATIO, EXPONENT)]
     slack = 0.02 * (HIGH - LOW)
     return np.asarray(((x >= LOW - slack) & (x <= HIGH + slack))[:, own].all(axis=1))
@@ -299,8 +297,7 @@ def _left_out(solved: SolvedMember, powers: IntArray) -> Array:
 
 
 def _correction(fine: SolvedMember, powers: IntArray, coefficients: Array) -> Array:
-    """Correction of the coefficients by a finer mesh (n_terms, 4): a plane through the residuals of its
-    members."""
+    """Correction (n_terms, 4) by a finer mesh: a plane through the residuals of its members."""
     low = powers.sum(axis=1) <= _CORRECTION_DEGREE
     missed = fine.y - _terms(_scaled(fine.x), powers) @ coefficients
     a = _terms(_scaled(fine.x), powers[low])

@@ -122,8 +122,8 @@ class _Search:
         )  # fmt: skip
 
     def guided(self, guide: Guide, tolerance: float) -> str:
-        """Accept the guide's guess, else the Gauss-Newton step, while one of them lowers the cost; the
-        termination reason, or "" where neither does."""
+        """Accept guesses, else Gauss-Newton steps, while they lower the cost; why it ended, "" if they do
+        not."""
         while True:
             step, fall = self._linear()
             if self._is_small(step, tolerance) and fall <= tolerance**2 * self.now.cost:

@@ -176,10 +176,8 @@ def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: 
 def modes(
     problem: _Problem, mean: Array, spread: Array, start: Array, *, steps: int = _STEPS
 ) -> tuple[Array, Array]:
-    """Most likely parameters (n, p) of each row under a given population, and their covariance (n, p, p).
-
-    Gauss-Newton iterations; a step that increases the cost is halved.
-    """
+    """Most likely parameters (n, p) of each row under a given population, and their covariance (n, p, p):
+    Gauss-Newton iterations, in which a step that increases the cost is halved."""
     precision = _inverse(spread)
     theta = start.copy()
     values, slopes = problem.model(theta, True)
@@ -225,8 +223,7 @@ def _quadratic(
 
 
 def _maximised(theta: Array, covariance: Array, prior: Array) -> tuple[Array, Array]:
-    """Population mean and spread that maximise the expected log posterior (M step), from the mean and
-    covariance of each row."""
+    """Population mean and spread of the largest expected log posterior (M step), from each row's moments."""
     mean = theta.mean(axis=0)
     apart = theta - mean
     total = covariance.sum(axis=0) + apart.T @ apart + prior
@@ -277,8 +274,7 @@ def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
 def _errors(
     points: Array, weights: Array, mean: Array, spread: Array, prior: Array, people: Array | None
 ) -> Array:
-    """Standard errors (2 p,) of the means and of the standard deviations, the correlations held fixed; in
-    units of the population's standard deviations."""
+    """Standard errors (2 p,) of means and deviations, in the population's, at fixed correlations."""
     deviation = np.sqrt(np.diag(spread))
     apart, like = (points - mean) / deviation, spread / np.outer(deviation, deviation)
     precision = _inverse(like)

@@ -19,10 +19,7 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """values (n,), and jacobian (n, n_parameters) d value / d theta, or None.
-
-    A column of NaN is a derivative that was not requested.
-    """
+    """values (n,), and jacobian (n, n_parameters) by theta, NaN where not requested, or None."""
 
     values: Array
     jacobian: Array | None = None
@@ -114,10 +111,7 @@ class Differences:
 
 
 class SolvedPoints:
-    """Cache of a curve: the same parameters are never solved twice.
-
-    `solved` holds (theta, prediction) in the order in which they were first solved.
-    """
+    """Cache of a curve; `solved` holds (theta, prediction) in the order in which they were first solved."""
 
     def __init__(self, curve: PredictedCurve):
         self._curve = curve

@@ -57,18 +57,13 @@ class Profile:
         return np.asarray(np.interp(np.log(values), np.log(self.values), root, left=np.inf, right=np.inf))
 
     def ends_beyond(self, limit: float) -> bool:
-        """Whether an end of the interval lies where the curve is above the limit, or beyond the curve.
-
-        This is so where the interval was extended to include a fit by another method.
-        """
+        """Whether an end, extended to include another fit, lies where the curve is above the limit, or beyond
+        it."""
         return bool((self.root_at(np.array([self.low, self.high])) ** 2 > limit + 2 * _CLOSE).any())
 
 
 def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Sequence[Array]) -> Fit:
-    """The fit with the lowest cost from several starts; starts that cannot be solved are skipped.
-
-    Raises FitError if no start leads to a fit.
-    """
+    """The fit with the lowest cost from the starts that can be solved; FitError if none leads to a fit."""
     fits = []
     for start in starts:
         started = [p.in_logs().started_at(float(t)) for p, t in zip(parameters, start, strict=True)]
@@ -146,8 +141,7 @@ class Side:
 def walk(at: Held, start: Point, grid: Array, threshold: float) -> Side:
     """Follow the deviance from the best fit along the grid (n,) until it exceeds the threshold, then locate
     the crossing; at : (x, a theta nearby) -> (deviance, theta) with the quantity held at x, infinite, where
-    the walk ends, if no parameters within their bounds give x
-    """
+    the walk ends, if no parameters within their bounds give x"""
     points: list[Point] = []
     inside = start
     for x in grid.tolist():
@@ -164,8 +158,7 @@ def walk(at: Held, start: Point, grid: Array, threshold: float) -> Side:
 
 
 def _crossing(at: Held, inside: Point, outside: Point, threshold: float) -> list[Point]:
-    """Points up to that where the deviance reaches the threshold, by a bracketed secant search: the
-    deviance's root is nearly linear."""
+    """Points up to where the deviance reaches the threshold, by secants of its nearly linear root."""
     found: list[Point] = []
     for _ in range(12):
         low, high = (np.sqrt(max(point[1], 0.0)) for point in (inside, outside))

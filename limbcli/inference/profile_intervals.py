@@ -44,8 +44,7 @@ class Stiffness:
 
     @property
     def force_deviation(self) -> float:
-        """Standard deviation of ln force due to c and the mesh together, where all forces are proportional to
-        c."""
+        """Standard deviation of ln force due to c and the mesh, where all forces are proportional to c."""
         return float(np.hypot(self.log_deviation, self.gain_deviation))
 
     def nuisances(self) -> list[tuple[FitParameter, float]]:

@@ -112,15 +112,12 @@ class SiteMeasurement:
     layers: LayerData = NO_LAYERS
 
     def weights_at(self, stiffness: Array) -> Array:
-        """Standard deviation (n,) of depth at given force (mm), for a curve with stiffness (n,) N/mm.
-
-        sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2)
-        """
+        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2) (n,): deviation of depth at given force, mm; stiffness :
+        N/mm"""
         return np.sqrt(self.depth_deviation**2 + (self.force_deviation / stiffness) ** 2)
 
     def without(self, levels: NDArray[np.bool_]) -> SiteMeasurement:
-        """The measurement without some force levels ((n,) bool) and without the speeds and layers at their
-        forces."""
+        """The measurement without some force levels ((n,) bool) and the speeds and layers at their forces."""
         speeds = ~np.isin(self.speed_force, self.force[levels])
         return replace(
             self, force=self.force[~levels], depth=self.depth[~levels],
@@ -196,8 +193,7 @@ def _value_and_slopes(log_speed_0: RestSpeed, shape: Array) -> tuple[float, Arra
 
 
 def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Array]]:
-    """ln of the speed in unloaded tissue as a function of (c / c0, shape...): the speed grows with the root
-    of c."""
+    """ln of the speed in unloaded tissue, which grows with the root of c, by (c / c0, shape...)."""
 
     def at(place: Array) -> tuple[float, Array]:
         known, slopes = _value_and_slopes(log_speed_0, place[1:])

@@ -158,10 +158,8 @@ def _step(name: str, free: tuple[int, ...], start: Array, match: CurveMatch, **s
 def _guide(
     parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, match: CurveMatch
 ) -> Guide:
-    """Minimum of the same objective on a surrogate of all points solved so far, within one step.
-
-    Far from the solved points a surrogate has minima of its own.
-    """
+    """Minimum of the objective on a surrogate of the solved points; within one step, as far off it has
+    others."""
 
     def guess(theta: Array) -> Array:
         predict = sampled(Emulator(match.curve), match.knots, match.data.depth, free=free, fixed=start)

@@ -271,8 +271,7 @@ def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, kept: KeptSolves, options: FitOptions,
     progress: Progress,
 ) -> tuple[SolvedPoints, ReferenceCurve | FileCurve, float]:  # fmt: skip
-    """The force curve with its cache, the curve itself, and the time of the first (cold) solve (s); NaN if an
-    earlier fit kept it."""
+    """The force curve with its cache, the curve itself, and the time of the first solve (s; NaN if kept)."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, kept=kept, progress=progress)
@@ -290,8 +289,7 @@ def _first_solve(
 
 
 def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: StageWriter) -> Array | None:
-    """d ln force / d ln c at the levels of a model with layers of fixed stiffness; None (full propagation,
-    with a warning) if it cannot be computed."""
+    """d ln force / d ln c at the levels beside fixed layers; None, with a warning, if unknown."""
     try:
         share = share_of_c(theta)
     except SolveError as error:

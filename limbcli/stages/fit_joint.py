@@ -198,10 +198,8 @@ def _start_c(measured: Sequence[Measured], options: FitOptions) -> float:
 def _curves(
     measured: Sequence[Measured], law: FitLaw, c0: float, curves_open: ExitStack, progress: Progress
 ) -> list[LawCurve]:
-    """For each site a curve of forces and speeds by the law, at the common reference value `c0` of c.
-
-    With layers of fixed stiffness, c / c0 is one more parameter of the curve.
-    """
+    """For each site a curve of forces and speeds by the law, at the common c0, or, with layers of fixed
+    stiffness, with c / c0 as one more parameter."""
     curves = []
     for each in measured:
         own = law.along(fibre_direction(each.model))

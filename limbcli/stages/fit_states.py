@@ -140,8 +140,7 @@ def identify(
 def first_simulations(
     memory: SolvedPoints, law: FitLaw, plan: StretchPlan, *, progress: Progress = SILENT
 ) -> None:
-    """Simulate the law's start shapes at the middle of the states' stretches, and the first of the shapes at
-    points around that middle."""
+    """Simulate the law's start shapes at the middle of the stretches, and the first at points around it."""
     shapes = first_shapes(law)
     middle, places = plan.first_places()
     thetas = [*(np.r_[shape, middle] for shape in shapes), *(np.r_[shapes[0], place] for place in places)]
@@ -151,10 +150,7 @@ def first_simulations(
 
 
 def knots(measured: Sequence[MeasuredState]) -> list[float]:
-    """Simulated depths (mm), up to slightly beyond the deepest reading of all states.
-
-    Raises MeasurementError if no reading is deeper than 1 mm.
-    """
+    """Simulated depths (mm) to beyond the deepest reading; MeasurementError if none is deeper than 1 mm."""
     deepest = max(float(np.max(each.levels.depth[each.levels.loading])) for each in measured)
     if deepest < 2 * _LEAST_DEPTH:
         raise MeasurementError(
@@ -185,8 +181,7 @@ def _start_c(site: Site, measured: Sequence[MeasuredState], plan: StretchPlan) -
 
 
 def starts(c0: float, law: FitLaw, plan: StretchPlan) -> list[Array]:
-    """Initial guesses: every start shape with the start stretches, and the last shape with each stretch
-    changed by a factor of 0.88 and 1.14."""
+    """Initial guesses: every start shape, and the last one with each stretch times 0.88 and 1.14."""
     shapes, values = first_shapes(law), np.array([each.start for each in plan.parameters])
     found = [np.r_[c0, shape, values] for shape in shapes]
     for j, parameter in enumerate(plan.parameters):
