@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.cohorts.population import CohortModel, tissue
-from limbcli.inference.layered_family import layered_family
-from limbcli.inference.layered_solves import FORCE, SKIN_PART
+from limbcli.inference.layered_family import FORCE, SKIN_PART, layered_family
 
 HEADER = (
     "subject",

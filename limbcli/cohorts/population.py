@@ -17,8 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from limbcli.inference.layered_family import LayeredFamily, OfTissue, is_inside
-from limbcli.inference.layered_solves import (
+from limbcli.inference.layered_family import (
     CONVEXITY,
     EXPONENT,
     FORCE,
@@ -27,6 +26,9 @@ from limbcli.inference.layered_solves import (
     MUSCLE_PART,
     RATIO,
     SKIN_PART,
+    LayeredFamily,
+    OfTissue,
+    is_inside,
 )
 from limbcli.model import Array
 

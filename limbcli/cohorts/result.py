@@ -13,7 +13,7 @@ from scipy.special import chdtrc, ndtr
 from limbcli.cohorts.estimate import SiteEstimate
 from limbcli.cohorts.population import C_FAT, C_MUSCLE, PARAMETERS, M
 from limbcli.cohorts.table import LAYERS, CohortTable
-from limbcli.inference.layered_solves import EXPONENT, HIGH, LOW, RATIO
+from limbcli.inference.layered_family import EXPONENT, HIGH, LOW, RATIO
 from limbcli.model import Array
 from limbcli.numbers.units import kpa_from_mpa
 

@@ -1,8 +1,8 @@
 """Drainage of fluid from a site's tissue, from held indentations simulated by FEBio.
 
 Each run is a fast ramp, and a hold while the biphasic tissue drains. Permeability times c is 1 mm^2/s, so
-that the simulated time in s equals k c t in mm^2; the largest time step grows with the time since the ramp,
-every third of a decade. Runs at a few depths give a site's drainage; they are cached.
+that the simulated time in s equals k c t in mm^2. Runs at a few depths give a site's drainage; they are
+cached.
 """
 
 from __future__ import annotations
@@ -63,11 +63,7 @@ class DrainageSolver:
 
     @staticmethod
     def chosen(kind: str, febio: Path | None) -> DrainageSolver | None:
-        """The solver for `kind` ("auto", "febio", ...) and a binary; None unless it is FEBio, as the
-        reference solver cannot simulate drainage.
-
-        Raises CaseError or ToolError as `solvers.choose`.
-        """
+        """FEBio, if `solvers.choose` gives it (or raises its errors): only it simulates drainage."""
         solver = choose(kind, febio)
         named = kind == FebioSolver.name
         return DrainageSolver(solver, named) if isinstance(solver, FebioSolver) else None
@@ -77,10 +73,8 @@ def drained(
     solver: DrainageSolver, held: HeldForces | None, simulations: SiteSimulations, *, deepest: float,
     keep: Path, notes: Notes, progress: Progress,
 ) -> Effect:  # fmt: skip
-    """Poroelasticity with a site's drainage, from simulations of the working mesh at fractions of the depth
-    `deepest` (mm).
-
-    keep : cache folder of the simulations; notes : get the facts on these
+    """Poroelasticity with a site's drainage, from simulations at fractions of the depth `deepest` (mm), kept
+    in the folder `keep`; facts on these go to the notes.
 
     Raises LimbError if there are no holds in which the force falls, or too few simulations succeed.
     """
@@ -91,12 +85,14 @@ def drained(
     if not solver.always and (fallen := held.fallen(simulations.curves(USUAL_M))) < decisions.FALLEN_SD:
         steady = f"no force decrease in the holds ({fallen:.1f} deviations over all of them)"
         raise _refused(steady, fix="--solver febio evaluates it anyway")
-    runs = _Runs(solver.solver, simulations, SolveFolder(keep), progress)
-    found = runs.all([round(share * deepest, 2) for share in SHARES_OF_DEPTH])
-    reports = [each.facts() for each in found]
-    notes.data["drainage"] = {
-        "solver": solver.solver.name, "solver_version": runs.version, "runs": reports,
-    }  # fmt: skip
+    depths = [round(share * deepest, 2) for share in SHARES_OF_DEPTH]
+    version = solver.solver.version()
+    found = _runs(solver.solver, simulations, SolveFolder(keep), depths, version, progress)
+    reports = [
+        {"depth_mm": each.depth, "seconds": round(each.seconds, 1), "problem": each.problem or None}
+        for each in found
+    ]
+    notes.data["drainage"] = {"solver": solver.solver.name, "solver_version": version, "runs": reports}
     drainage = Drainage.through(_enough(found))
     notes.warnings.extend(
         f"{NAME} was evaluated without FEBio's run at {each.depth:g} mm: {_first_line(each.problem)}"
@@ -112,48 +108,32 @@ class _Run:
     problem: str = ""
     seconds: float = 0.0
 
-    def facts(self) -> dict[str, Any]:
-        return {"depth_mm": self.depth, "seconds": round(self.seconds, 1), "problem": self.problem or None}
 
-
-@dataclass
-class _Runs:
+def _runs(
+    solver: Solver, simulations: SiteSimulations, memo: SolveFolder, depths: Sequence[float], version: str,
+    progress: Progress,
+) -> list[_Run]:  # fmt: skip
     """Parallel simulations on the available cores, each in a separate folder; results are cached."""
 
-    solver: Solver
-    simulations: SiteSimulations
-    memo: SolveFolder
-    progress: Progress
-    version: str = ""
+    def held(depth: float, ramp_step: float = RAMP_STEPS[0]) -> LimbModel:
+        return held_model(simulations.model, depth, c=simulations.c, m=USUAL_M, ramp_step=ramp_step)
 
-    def all(self, depths: Sequence[float]) -> list[_Run]:
-        self.version = self.solver.version()
-        known = {depth: self._kept(depth) for depth in depths}
-        todo = [depth for depth in depths if known[depth] is None]
-        processes, threads = shares(len(todo), available_cores())
-        if isinstance(self.solver, FebioSolver):
-            self.solver = replace(self.solver, threads=threads)
-        if todo:
-            at = ", ".join(f"{each:g}" for each in todo)
-            text = f"FEBio simulates held biphasic tissue at {at} mm (minutes each)"
-            self.progress.event("note", text=text)
-        with ThreadPoolExecutor(processes) as pool:
-            fresh = dict(zip(todo, pool.map(self._run, todo), strict=True))
-        return [known[depth] or fresh[depth] for depth in depths]
+    def kept(depth: float) -> _Run | None:
+        def run_of(stored: Any) -> _Run:
+            hold = HeldIndentation(depth, float(stored["ramp_mm2"]), stored["spread_mm2"], stored["force_n"])
+            return _Run(depth, hold, "", float(stored["seconds"]))
 
-    def _held(self, depth: float, ramp_step: float = RAMP_STEPS[0]) -> LimbModel:
-        known = self.simulations
-        return held_model(known.model, depth, c=known.c, m=USUAL_M, ramp_step=ramp_step)
+        return memo.read(keys[depth], run_of)
 
-    def _run(self, depth: float) -> _Run:
+    def run(depth: float) -> _Run:
         """Simulate one depth, with shorter steps if FEBio fails with longer ones."""
         started, problem, hold = time.monotonic(), "", None
         for ramp_step in RAMP_STEPS:
             try:
                 with scratch_folder() as folder:
-                    feb = self.solver.write(self._held(depth, ramp_step), folder)
-                    self.solver.run(feb, progress=self.progress, time_limit_s=_TIME_LIMIT_S)
-                    hold = hold_of(self.solver.read(feb), depth)
+                    feb = solver.write(held(depth, ramp_step), folder)
+                    solver.run(feb, progress=progress, time_limit_s=_TIME_LIMIT_S)
+                    hold = hold_of(solver.read(feb), depth)
                 break
             except SolveError as error:
                 problem = problem or error.what
@@ -163,23 +143,25 @@ class _Runs:
         found = _Run(depth, hold, "" if hold else problem, time.monotonic() - started)
         if hold is not None:
             content = {"spread_mm2": hold.spread, "force_n": hold.force, "ramp_mm2": hold.ramp}
-            self.memo.write(self._key(depth), {**content, "seconds": found.seconds})
+            memo.write(keys[depth], {**content, "seconds": found.seconds})
         return found
 
-    def _kept(self, depth: float) -> _Run | None:
-        def run_of(stored: Any) -> _Run:
-            hold = HeldIndentation(depth, float(stored["ramp_mm2"]), stored["spread_mm2"], stored["force_n"])
-            return _Run(depth, hold, "", float(stored["seconds"]))
-
-        return self.memo.read(self._key(depth), run_of)
-
-    def _key(self, depth: float) -> str:
-        return f"drainage-{model_hash(self._held(depth))[:16]}-{self.version}"
+    keys = {depth: f"drainage-{model_hash(held(depth))[:16]}-{version}" for depth in depths}
+    known = {depth: kept(depth) for depth in depths}
+    todo = [depth for depth in depths if known[depth] is None]
+    processes, threads = shares(len(todo), available_cores())
+    if isinstance(solver, FebioSolver):
+        solver = replace(solver, threads=threads)
+    if todo:
+        at = ", ".join(f"{each:g}" for each in todo)
+        progress.event("note", text=f"FEBio simulates held biphasic tissue at {at} mm (minutes each)")
+    with ThreadPoolExecutor(processes) as pool:
+        fresh = dict(zip(todo, pool.map(run, todo), strict=True))
+    return [known[depth] or fresh[depth] for depth in depths]
 
 
 def _enough(found: Sequence[_Run]) -> list[HeldIndentation]:
-    """The completed holds; SolveError if there are fewer than two: drainage at one depth does not determine
-    that at others."""
+    """The completed holds; SolveError if there are fewer than two, which do not determine other depths."""
     holds = [each.hold for each in found if each.hold is not None]
     if len(holds) >= _LEAST_DEPTHS:
         return holds

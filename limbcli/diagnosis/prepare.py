@@ -75,21 +75,6 @@ class WorkingMesh:
     interventions: bool = True
 
 
-@dataclass
-class Prepared:
-    """One prepared site: its data and curves, the numerical checks on its mesh, and notes to report.
-
-    size : mm, of the working mesh's edges under the probe
-    """
-
-    site: Site
-    size: float
-    simulations: SiteSimulations
-    curves: SiteCurves
-    interventions: list[Intervention]
-    notes: Notes
-
-
 def prepare(
     case: Case, site: Site, effects: Mapping[str, Effect], *, out: Path, mesh: WorkingMesh,
     extras: Sequence[ExtraMeasurement] = (), draining: DrainageSolver | None = None, progress: Progress,
@@ -101,8 +86,8 @@ def prepare(
     Raises CaseError if `segment` has not been run; MeasurementError if the levels cannot be used; SolveError
     if the model without effects cannot be solved.
     """
-    made, refused = _Preparation(case, site, out, mesh, progress), dict[str, LimbError]()
-    simulations = made.simulations()
+    made, refused = Prepared(case, site, out, mesh, progress), dict[str, LimbError]()
+    made.simulations = simulations = made.simulated()
     try:
         where_solved(simulations.curves, FIRST_M)  # failures are reported where the curves are used
         numerics = NumericalChecks(
@@ -110,8 +95,9 @@ def prepare(
             notes=made.notes, progress=progress,
         )  # fmt: skip
         correction = mesh_correction(numerics, solves=mesh.interventions)
-        interventions = numerics.interventions() if mesh.interventions else []
-        data = made.data(numerics, correction, interventions, extras)
+        if mesh.interventions:
+            made.interventions = numerics.interventions()
+        data = made.data(numerics, correction, extras)
         if POROELASTICITY in effects and draining is not None:
             try:
                 drains = drained(
@@ -124,24 +110,22 @@ def prepare(
     except LimbError:
         simulations.close()
         raise
-    curves = SiteCurves(
+    made.curves = SiteCurves(
         data, simulations, effects, correction=correction, penetration=numerics.penetration, refused=refused,
         progress=progress,
     )  # fmt: skip
-    return Prepared(site, made.size, simulations, curves, interventions, made.notes)
+    return made
 
 
 def turned_by_90(
     case: Case, prepared: Prepared, *, out: Path, mesh: WorkingMesh, progress: Progress
 ) -> SiteCurves:
-    """Curves of the same measurement with the probe's long side turned by 90 degrees.
-
-    Raises MeshError or SolveError if the place cannot be meshed or simulated with the turned probe.
-    """
+    """Curves of the same measurement with the probe's long side turned by 90 degrees; raises MeshError or
+    SolveError if the place cannot be meshed or simulated so."""
     site, known = prepared.site, prepared.curves
     other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
-    simulations = _Preparation(case, other, out, replace(mesh, size=prepared.size), progress).simulations()
+    simulations = Prepared(case, other, out, replace(mesh, size=prepared.size), progress).simulated()
     curves = SiteCurves(
         known.site, simulations, known.effects, penetration=known.penetration, refused=known.refused,
         progress=progress,
@@ -173,7 +157,16 @@ def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
     return float(y[0]), float(y[1]), float(y[2])
 
 
-class _Preparation:
+class Prepared:
+    """One site: its data and curves, the numerical checks on its mesh, and notes to report.
+
+    size : mm, of the working mesh's edges under the probe; simulations, curves, interventions : once prepared
+    """
+
+    simulations: SiteSimulations
+    curves: SiteCurves
+    interventions: Sequence[Intervention] = ()
+
     def __init__(self, case: Case, site: Site, out: Path, mesh: WorkingMesh, progress: Progress):
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
         self.work = out / STAGE / f".work-{site.name}"
@@ -190,12 +183,9 @@ class _Preparation:
         if site.states:
             self.notes.warnings.append(one_state(site))
 
-    def simulations(self) -> SiteSimulations:
-        """Simulations down to the deepest reading and beyond, as far as the solver converges.
-
-        They use a fixed reference stiffness and rounded depths, so that other measurements of the same place
-        can reuse them.
-        """
+    def simulated(self) -> SiteSimulations:
+        """Simulations down to the deepest reading and beyond, of a reference stiffness and at rounded depths,
+        so that other measurements of the same place can reuse them."""
         needed = _ROUND * float(np.floor(_BEYOND * deepest(readings(self.levels)) / _ROUND) + 1.0)
         depths = needed / _N_DEPTHS * np.r_[0.5, np.arange(1, _N_DEPTHS + 1)]
         thick = self.skin_bone
@@ -211,9 +201,8 @@ class _Preparation:
         )  # fmt: skip
 
     def _enough_force(self) -> float | None:
-        """Force in N at the reference stiffness that is larger than any reading, rounded up to a power of two
-        so that curves can be reused; None without a wave speed at rest, from which the tissue's stiffness is
-        estimated."""
+        """N at the reference stiffness, more than any reading; a power of two, so that curves can be reused.
+        None without a wave speed at rest, which tells the tissue's stiffness."""
         largest, speed = float(np.nanmax(self.levels.force)), self.levels.swe_mean_m_per_s[:1]
         if not (self.levels.begins_at_zero and np.isfinite(speed).all() and largest > 0):
             return None
@@ -266,9 +255,8 @@ class _Preparation:
         return load_model(kept)  # reloaded, so that a resumed diagnosis uses an identical model
 
     def data(
-        self, numerics: NumericalChecks, correction: MeshCorrection, interventions: Sequence[Intervention],
-        extras: Sequence[ExtraMeasurement],
-    ) -> SiteData:  # fmt: skip
+        self, numerics: NumericalChecks, correction: MeshCorrection, extras: Sequence[ExtraMeasurement]
+    ) -> SiteData:
         """The data, with what is known of how far the models are off."""
         held = None
         if self.site.trace is not None:
@@ -288,4 +276,4 @@ class _Preparation:
             levels, self.site.noise, windows=self.windows, maps=self.maps, held=held, extras=extras,
             usable=numerics.parts_seen(), layers=self.layers,
         )  # fmt: skip
-        return site_data(self.site.name, seen, numerics.known_errors(correction, interventions))
+        return site_data(self.site.name, seen, numerics.known_errors(correction, self.interventions))

@@ -29,12 +29,8 @@ def write_diagnosed(
     number: int,
     templates: Path | None = None,
 ) -> None:  # fmt: skip
-    """Write the site's own model with the chosen effects and the refitted parameters as diagnosed.feb.
-
-    Differences between the written model and the diagnosis are reported as warnings.
-
-    number : index of the site in the forward model
-    """
+    """Write the site's own model with the chosen effects and the refitted parameters as diagnosed.feb;
+    differences from the diagnosis become warnings. number : index of the site in the forward model"""
     path = out / "mesh" / mine.site.name / "model.npz"
     if not path.is_file():
         writer.warnings.append("no .feb was written: the site has not been meshed (limbcli mesh)")
@@ -46,7 +42,7 @@ def write_diagnosed(
         )
         return
     fitted = found.final
-    curves, reading = forward_model.predictions.curves_of(fitted, number)
+    curves, reading = forward_model.curves_of(fitted, number)
     depth = true_depth(curves, mine.curves.site.protocol.depth, reading)
     # the probe travels further than the tissue is indented, by the support's compliance
     travel = np.unique(np.round(depth + reading.compliance * force_at(curves, depth), 3))
@@ -58,10 +54,10 @@ def write_diagnosed(
     penalty = float(built) if isinstance(built, int | float) else USUAL_PENALTY
     model = indentation_model(meshed, plan, c=c, f_kappa=F_KAPPA, m=fitted.values["m"])
     model = with_penalty(model, penalty)
-    theta = forward_model.predictions.theta(fitted.values, fitted.explanation, number)
+    theta = forward_model.theta(fitted.values, fitted.explanation, number)
     added = []
-    for name, point in forward_model.predictions.model_of(fitted):
-        each = forward_model.predictions.effects[name]
+    for name, point in forward_model.model_of(fitted):
+        each = forward_model.effects[name]
         added.append((each, {**each.null, **theta, **each.without_onset(point)}))
         if point.get(each.onset, 0.0) > 0.0:
             writer.warnings.append(
@@ -78,10 +74,7 @@ def _contact_takes(
     mine: Prepared, curves: Curves, force: Array, deep: float, penalty: float, *, out: Path
 ) -> str | None:
     """Warning if the written model's contact lowers the fitted force at its deepest level by more than
-    `_SOFT`.
-
-    force (n,) : of the curves, at the reference stiffness
-    """
+    `_SOFT`; force (n,) : of the curves, at the reference stiffness"""
     known = mine.curves.penetration
     if known is None:
         return None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import textwrap
 from collections.abc import Mapping, Sequence
 from itertools import zip_longest
@@ -19,11 +20,16 @@ from limbcli.diagnosis.explanations.estimates import PRIOR, TISSUE
 from limbcli.diagnosis.explanations.noise import CommonError
 from limbcli.diagnosis.explanations.search import Explained
 from limbcli.diagnosis.explanations.sentences import recommended
-from limbcli.diagnosis.forward_model.predictions import Slot
+from limbcli.diagnosis.forward_model.predictions import NOTHING, Slot
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
-from limbcli.diagnosis.mesh_error.numerical_checks import f_kappa_at
+from limbcli.diagnosis.forward_model.surrogate import SiteCurves
+from limbcli.diagnosis.mesh_error.numerical_checks import STIFFER, f_kappa_at
 from limbcli.drawing import save_figure
+from limbcli.effects.curves import log_force_at
 from limbcli.effects.effect import Parameter
+from limbcli.feb.settings import USUAL_PENALTY
+from limbcli.model import Array
+from limbcli.numbers.units import mpa_from_kpa
 
 Interval = tuple[float | None, float | None]
 _ON_BOUND = 0.01  # distance from a bound, as a fraction of the range, from which an interval is open there
@@ -125,12 +131,9 @@ def _finite(value: float) -> float | None:
 def reported_sizes(
     slots: Mapping[str, Sequence[Slot]], found: Mapping[str, Mapping[str, tuple[float, float]]], c_kpa: float
 ) -> dict[str, dict[str, Interval]]:
-    """Intervals with the names and units in which they are reported; None: open on that side.
-
-    slots : for every effect, its size parameters; found : by effect and parameter, the interval of its value;
-        missing effects are open
-    c_kpa : of the tissue, for sizes relative to it
-    """
+    """Intervals with the names and units in which they are reported, of all size parameters (`slots`) by
+    effect; None: open on that side. found : by effect and parameter, the interval of its value; missing
+    effects are open"""
     sizes: dict[str, dict[str, Interval]] = {}
     for name, mine in slots.items():
         row: dict[str, Interval] = {}
@@ -237,17 +240,14 @@ def candidates_picture(found: Diagnosis, path: Path) -> None:
 
 def sizes_of(forward_model: SiteForwardModel, site: SiteData) -> dict[str, list[Slot]]:
     """Size parameters of every effect; those of this site where each measurement has a separate parameter."""
-    known = forward_model.predictions
+    known = forward_model
     here = [each.site.name for each in known.sites].index(site.name)
     return {name: [slot for slot in known.sizes(name) if slot.site in (None, here)] for name in known.effects}
 
 
 def sizes_picture(found: Diagnosis, sizes: Mapping[str, Sequence[Slot]], path: Path) -> None:
-    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is no effect.
-
-    A triangle marks an interval that lies entirely outside the axis limits or beyond the largest size
-    searched.
-    """
+    """The interval of every effect's size when it alone is added, in plausible sizes; 0 is no effect, a
+    triangle an interval outside the axis or beyond the largest size searched."""
     rows = [
         (f"{name}: {slot.name}", _in_plausible_sizes(slot.parameter, found.sizes[name][slot.name]))
         for name, mine in sizes.items() for slot in mine if slot.name in found.sizes.get(name, ())
@@ -277,3 +277,63 @@ def _in_plausible_sizes(p: Parameter, ends: tuple[float, float]) -> tuple[float,
     low, high = (float(np.clip(x, p.low, p.high) - p.null) for x in ends)
     first, last = sorted((low / (p.typical - p.null), high / (p.typical - p.null)))
     return first, last
+
+
+_STEP = 0.02  # of ln m, in the derivatives
+_MOST_APART = 2.0  # factor between the m found and those of the other forces
+_STIFFEST = 1.0  # deviations of f_kappa from the value in the models: the largest that is simulated
+# Penalty of a probe that presses as hard as in the diagnosis' curves, which have no penetration: the demo's
+# limb (edges of 2.5 mm) gives 0.9 % more force with it than with the usual one, and 0.4 % less than without
+# penetration.
+_HARD = 4.0 * USUAL_PENALTY
+
+
+def diagnosed_force(found: Diagnosis, curves: SiteCurves) -> dict[str, Any] | None:
+    """`tissue_force` of diagnosis.json, which the limb's stiffness field takes as that of a fit: the forces
+    at the loaded levels of c, m and f_kappa alone, their noise, the errors of the model, and forces of other
+    m and f_kappa with their derivatives. None without the influence of f_kappa, or a loaded level."""
+    site, estimates = curves.site, found.shrink[-1].estimates
+    common = {each.name: each for each in found.common_errors.get(found.chosen, ())}
+    errors = {each.name: each for each in site.model.errors if each.name in common}
+    read, noise = site.seen.protocol, site.seen.noise
+    loaded = np.flatnonzero((read.force > 0) & (read.depth > 0) & site.seen.levels.loading[site.seen.keep])
+    if COMPRESSIBILITY not in errors or not len(loaded):
+        return None
+    depths, levels = read.depth[loaded], site.seen.keep[loaded]
+    by_f_kappa = errors[COMPRESSIBILITY].log_force[levels]
+    c, m, f_kappa = mpa_from_kpa(estimates.values["c_kpa"]), estimates.values["m"], common[COMPRESSIBILITY]
+
+    def logs(ln_m: float, deviations: float = 0.0) -> Array:
+        curve = curves.curves(c, float(np.exp(ln_m)), NOTHING, {})
+        return log_force_at(curve, depths) + deviations * by_f_kappa
+
+    at = min(f_kappa.value, _STIFFEST)
+    around = np.unique([0.0, at, at - f_kappa.deviation])
+    other_m = np.clip([*estimates.intervals["m"], m], m / _MOST_APART, m * _MOST_APART)
+    places = list(itertools.product(np.unique(other_m).tolist(), around.tolist()))
+    # a deviation of f_kappa is one of 1 / f_kappa (`f_kappa_at`)
+    slopes = [
+        np.column_stack([
+            (1.0 / (1.0 - 1.0 / STIFFER) - z) * by_f_kappa,
+            (logs(np.log(each) + _STEP) - logs(np.log(each) - _STEP)) / (2 * _STEP),
+        ])
+        for each, z in places
+    ]  # fmt: skip
+    rise = curves.curves(c, m, NOTHING, {}).force_curve.read(depths).slopes
+    return {
+        "depths_mm": depths,
+        "fitted_n": np.exp(logs(np.log(m), at)),
+        "noise_n": np.hypot(noise.force, rise * noise.depth),
+        "model_errors_of_ln": [
+            common[name].deviation * each.log_force[levels]
+            for name, each in errors.items() if name != COMPRESSIBILITY and each.log_force.any()
+        ],
+        "c_share": np.ones(len(depths)),
+        "contact_penalty": _HARD,
+        "simulated": {
+            "f_kappa": [f_kappa_at(z) for _, z in places],
+            "m": [each for each, _ in places],
+            "forces_n": [np.exp(logs(np.log(each), z)) for each, z in places],
+            "slopes_of_ln": slopes,
+        },
+    }  # fmt: skip

@@ -19,10 +19,7 @@ _SAME_TOUCH = 0.02  # mm, shift of first touch against cycle 1 below which it is
 
 
 def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
-    """The built model, driven through the depths of these levels.
-
-    `build-feb` drives it through those of the last cycle, for which the model is returned unchanged.
-    """
+    """The model that `build-feb` drives through the last cycle, driven through the depths of these levels."""
     usual = all_levels_of(site)
     if int(levels.cycle[0]) == usual.chosen_cycle():
         return model
@@ -37,10 +34,8 @@ def through_cycle(model: LimbModel, levels: Levels, site: Site) -> LimbModel:
 
 
 def write_cycle(levels: Levels, site: Site, writer: StageWriter, *, label: str = "") -> None:
-    """Write `cycle` of fit.json if there are several; warn if later cycles contradict the fitted one.
-
-    label : the site's name if several sites are fitted together; `cycle` is then given for each site
-    """
+    """Write `cycle` of fit.json if there are several, for each site (`label`) where they are fitted together;
+    warn if later cycles contradict the fitted one."""
     every = all_levels_of(site)
     if len(every.cycles) == 1:
         return

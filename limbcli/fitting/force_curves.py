@@ -17,10 +17,9 @@ import numpy as np
 from limbcli.config import available_cores, shares
 from limbcli.errors import SolveError
 from limbcli.files.temporary_folders import scratch_folder
-from limbcli.fitting.kept_solves import NOTHING_KEPT, KeptForces, KeptSolves
+from limbcli.fitting.kept_solves import NOTHING_KEPT, CheckSolver, KeptForces, KeptSolves
 from limbcli.fitting.laws import FitLaw
 from limbcli.fitting.model_checks import ChangedBoundary
-from limbcli.fitting.solve_again import CheckSolver
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS
 from limbcli.inference.prediction import Differences, Prediction
 from limbcli.model import Array, ElementMap, LimbModel
@@ -63,9 +62,8 @@ def at_levels(simulation: Simulation, values: Array, times: Array) -> Array:
 class ReferenceCurve:
     """Forces at the levels and their exact derivatives, from one session of the reference solver.
 
-    `depths` (n_levels,) mm and `n_solves` are updated by each solve; `at_most`, the greatest number of
-    solves, is part of the progress events if it is set. What is `kept` from an earlier fit is counted in
-    `n_solves` and in `n_kept`, but not solved.
+    A solve updates `depths` (n_levels,) mm and `n_solves`, of which `n_kept` were `kept` by an earlier fit;
+    `at_most`, if set, is told in progress events.
     """
 
     def __init__(
@@ -143,11 +141,10 @@ _STALLED_WITH_FIBRES = 5e-4
 
 
 class LawCurve:
-    """Forces, mean wave speeds and layer borders at the levels for any law, as a function of its shape.
+    """Forces (n_levels,) N for any law as a function of its shape; then with `speeds` the mean speeds
+    (n_levels,) m/s, then with `lines` the lines' depths below the skin (mm), level by level.
 
-    Values are the forces (n_levels,) N, then with `speeds` the speeds (n_levels,) m/s, then with `lines` the
-    lines' depths below the skin (mm), level by level. Forces and lines have exact derivatives, speeds none.
-    `depths` (n_levels,) mm is set by a solve.
+    Forces and lines have exact derivatives, speeds none. `depths` (n_levels,) mm is set by a solve.
     """
 
     def __init__(
@@ -171,8 +168,7 @@ class LawCurve:
         return softer_jumps(model, FIBRE_BAND) if self.law.has_fibres else model
 
     def _solve(self, model: LimbModel, **options: Any) -> SessionResult:
-        """Solve the smoothed model from the levels converged so far; if that fails with fibres, from those
-        with a wider band."""
+        """Solve the smoothed model from converged levels; if that fails, from those with a wider band."""
         if not self.law.has_fibres:
             return self._session.solve(model, **options)
         if self._session.kept_levels is not None:
@@ -182,10 +178,8 @@ class LawCurve:
         return self._session.solve(self._eased(model), **options)
 
     def with_penalty(self, theta: Array, penalty: float) -> Array:
-        """Forces (n_reached,) N with another contact penalty and the same law, from converged levels.
-
-        Raises SolveError if not even the first level is reached.
-        """
+        """Forces (n_reached,) N with another contact penalty, from converged levels; SolveError if none is
+        reached."""
         return self._again(with_penalty(self.fitted(theta), penalty), "contact check")
 
     def with_boundary(self, theta: Array, boundary: ChangedBoundary) -> Array:
@@ -289,8 +283,7 @@ class FileCurve:
         return Differences(self, upper=upper, relative_step=relative_step, run_all=self.run_side_by_side)
 
     def run_side_by_side(self, evaluate: Callable[[Array], Any], thetas: Iterable[Array]) -> Iterable[Any]:
-        """Evaluate all thetas, in parallel on the available cores; the first error is raised once all have
-        ended."""
+        """Evaluate all thetas in parallel; the first error is raised once all have ended."""
         todo = list(thetas)
         processes, threads = shares(len(todo), available_cores())
         if isinstance(self._solver, FebioSolver):

@@ -81,12 +81,8 @@ def site_geometry_uncertainty(
     case: Case, site: Site, out: Path, fitted: LimbModel, forces: Array, writer: StageWriter, *,
     progress: Progress = SILENT,
 ) -> GeometryUncertainty | None:  # fmt: skip
-    """The uncertainty due to a site's assumed geometry; None if imaged, or if no variation could be solved.
-
-    forces : (n_levels,) N of the fitted model at its levels
-
-    Results of an earlier fit are reused if model, parameters and geometry are the same.
-    """
+    """The uncertainty due to a site's assumed geometry, or what an earlier fit of the same model kept; None
+    if imaged, or if no variation could be solved. forces : (n_levels,) N of the fitted model"""
     if not case.imaging.assumed:
         return None
     segmented, meshed = read_result(out, "segment"), read_result(out, "mesh", site=site.name)
@@ -174,10 +170,7 @@ def _remembered(path: Path, key: str, todo: tuple[Variation, ...]) -> GeometryUn
 def write_geometry(
     found: Identified, uncertainty: GeometryUncertainty, of_noise: Intervals | None, writer: StageWriter
 ) -> None:
-    """Write `geometry_uncertainty` of fit.json, and a line of the summary.
-
-    of_noise : intervals due to the measurement's noise alone; None if none were computed
-    """
+    """Write `geometry_uncertainty` of fit.json, beside the intervals `of_noise` alone, and a summary line."""
     rows = _rows(found, uncertainty)
     share = total_share(list(uncertainty.modes))
     # standard deviations of ln f_kappa and ln m due to the geometry alone

@@ -47,8 +47,7 @@ _FIXED = "fixed"
 
 @dataclass(frozen=True)
 class Variation:
-    """One variation; `value`: a factor, mm, a slope, radians or 1/mm, depending on the kind (1 for a second
-    bone); `words`: its description."""
+    """One variation: a factor, mm, a slope, radians or 1/mm (1 for a second bone), and its description."""
 
     kind: str
     value: float
@@ -64,10 +63,7 @@ class Variation:
 
 
 def variations(imaging: Imaging, *, depth: float, bones: int) -> tuple[Variation, ...]:
-    """The variations of a limb's assumptions, one standard deviation each.
-
-    depth : standard deviation of the bone's depth, mm; bones : number of bones
-    """
+    """The variations of a limb's assumptions, one standard deviation each; depth : that of the bone's, mm"""
     slope, taper = np.degrees(np.arctan(SLOPE)), 100 * TAPER
     found = [Variation("radius", each, f"bone's radius times {each:g}") for each in RADIUS]
     found += [
@@ -102,10 +98,7 @@ def depth_deviation(stated: float, seen: Mapping[str, Any]) -> float:
 
 
 def shaped(model: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel, float]:
-    """The model in its varied shape, and the fraction of the variation that could be applied.
-
-    Raises MeshError if not even the smallest fraction can be applied.
-    """
+    """The model in its varied shape, and the fraction of it that was applied; MeshError if none could be."""
     if variation.kind == "second bone":
         return model.with_mesh(with_second_bone(model.mesh, rod)), 1.0
     for part in _PARTS[:-1]:
@@ -117,10 +110,7 @@ def shaped(model: LimbModel, rod: Rod, variation: Variation) -> tuple[LimbModel,
 
 
 def varied_mesh(mesh: Mesh, rod: Rod, variation: Variation, part: float = 1.0) -> Mesh:
-    """A site's mesh morphed to another shape; first touch stays at the origin.
-
-    Raises MeshError if a cell would lose nearly all of its volume.
-    """
+    """The mesh morphed to another shape, first touch at the origin; MeshError if a cell would be crushed."""
     value, touched = variation.part(part), np.zeros(3)
     moves = {
         name: np.zeros((len(mesh.node_sets[name]), 3)) for name in ("bone", "skin") if name in mesh.node_sets
@@ -155,12 +145,10 @@ def _radial(points: Array, rod: Rod) -> Array:
 
 
 def with_second_bone(mesh: Mesh, rod: Rod) -> Mesh:
-    """The mesh with a second, thinner rod next to the first at equal depth: its nodes are fixed.
+    """The mesh with the nodes of a second, thinner rod at equal depth fixed, on the side with more nodes;
+    half-way where the tissue does not extend far enough.
 
-    If the tissue does not extend far enough, the rod lies half-way. It is placed on the side where it
-    contains more nodes of the tissue.
-
-    Raises MeshError if there is no room for the rod in the tissue, or the mesh is too coarse to resolve it.
+    Raises MeshError if there is no room for the rod, or the mesh is too coarse to resolve it.
     """
     radius, side = SECOND_RADIUS * rod.radius, np.cross(rod.axis, rod.towards)
     tissue = np.unique(np.concatenate([block.cells.ravel() for block in mesh.solid_blocks]))

@@ -102,11 +102,8 @@ def draw_profiles(found: Intervals, estimates: Array, writer: StageWriter) -> No
 
 
 def profile_figure(profiles: Mapping[str, Profile], estimates: Array, limit: float) -> Figure:
-    """How far each parameter can move before the data exclude it: one panel per parameter, where a valley
-    shows a determined parameter, a plain an undetermined one.
-
-    limit : increase of the deviance at the ends of the 95 % intervals
-    """
+    """One panel per parameter: a valley where the data determine it, a plain where not; limit : increase of
+    the deviance at the ends of the 95 % intervals"""
     with style():
         figure = new_figure(max(7.4, 1.85 * len(profiles)), 3.3)
         panels = figure.subplots(1, max(len(profiles), 1), sharey=True, squeeze=False)[0]

@@ -10,7 +10,7 @@ import numpy as np
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.fitting.exports import parameter_rows, write_exports, write_table
-from limbcli.fitting.fibre_uncertainty import write_moduli
+from limbcli.fitting.fibres import write_moduli
 from limbcli.fitting.joint_picture import draw_joint
 from limbcli.fitting.laws import FIBRE_F_KAPPA, LOCKING, FitLaw
 from limbcli.inference.adaptive import Intervals
@@ -154,10 +154,8 @@ def parameter_table(problem: Likelihood, found: Intervals) -> dict[str, dict[str
 
 
 def judge_given_c(c: dict[str, Any], task: JointTask, scale: float) -> None:
-    """Flag c as fixed if it was given and the data determine it less precisely than that.
-
-    c : its row of the table, changed in place; scale : factor on the variances of noise and of the given c
-    """
+    """Flag c (its row, changed in place) as fixed if it was given and the data determine it less precisely
+    than that; scale : factor on the variances of noise and of the given c"""
     if task.c_deviation is None or c["standard_error"] < np.sqrt(0.5 * scale) * task.c_deviation * c["value"]:
         return
     given = f"{short(kpa_from_mpa(task.c0), 4)} kPa, one deviation {short(100 * task.c_deviation, 2)} %"

@@ -1,8 +1,7 @@
-"""The laws that `fit` can identify, written so that c scales every stress.
+"""The laws that `fit` can identify. A law's shape is the set of its parameters other than c = 2 mu.
 
-A law's shape is the set of its parameters other than c = 2 mu: f_kappa, m, ... At fixed shape, forces are
-proportional to c if the whole model follows this law. With layers of fixed stiffness they are not, and c,
-as a ratio, becomes one more parameter of the simulated curve (`beside_layers`).
+At fixed shape, forces are proportional to c if the whole model follows the law. With layers of fixed
+stiffness they are not, and c, as a ratio, becomes one more parameter of the curve (`beside_layers`).
 """
 
 from __future__ import annotations
@@ -153,8 +152,7 @@ LAWS: Mapping[str, FitLaw] = {
 
 
 def first_shapes(law: FitLaw) -> list[Array]:
-    """Initial guesses: the default shape, and shapes with one parameter changed by its step factor (f_kappa:
-    a tenth)."""
+    """Initial guesses: the default shape, and shapes with one parameter doubled (f_kappa: a tenth)."""
     base = np.array([each.start for each in law.shape])
     shapes = [base]
     for k, parameter in enumerate(law.shape):

@@ -66,10 +66,8 @@ def write_layers(
 def predict_layers(
     model: LimbModel, simulation: Simulation, levels: Levels, layers: LayerReadings
 ) -> PredictedLayers:
-    """The simulated layer thicknesses at every loading level.
-
-    Raises MeasurementError if a border lies outside the model's tissue, or no displacements were recorded.
-    """
+    """The simulated layer thicknesses at every loading level; MeasurementError if a border lies outside the
+    model's tissue, or no displacements were recorded."""
     numbers, rows = simulated_rows(levels, simulation.probe_depth())
     lines = layers.lines(model)
     u = displacements(lines, simulation)
@@ -125,10 +123,8 @@ def layers_figure(
 ) -> Figure:
     """Left: depth of each border below the probe; right: measured minus predicted thickness.
 
-    force : (n_levels,) N
-    names : of the layers, from the skin inwards
-    measured, predicted : (n_levels, n_layers) mm; measured is NaN where not read
-    deviation : standard deviation of a thickness (mm)
+    force : (n_levels,) N; measured, predicted : (n_levels, n_layers) mm, from the skin inwards, measured NaN
+        where not read; deviation : mm
     """
     with style():
         figure = new_figure(7.6, 4.3)

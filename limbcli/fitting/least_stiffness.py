@@ -8,17 +8,60 @@ from typing import Any
 
 import numpy as np
 
-from limbcli.fitting.fitted_states import FittedStates
+from limbcli.case import Site
+from limbcli.fitting.laws import FitLaw
+from limbcli.fitting.state_curve import StateCurve
+from limbcli.fitting.state_plan import StretchPlan
+from limbcli.inference.adaptive import Intervals
 from limbcli.inference.derived import (
     DerivedInterval,
     LowestPoint,
-    SearchRange,
     derived_interval,
     lowest_of_points,
     lowest_on_grid,
 )
-from limbcli.inference.states_fit import StatesProblem
+from limbcli.inference.joint_fit import JointProblem
 from limbcli.model import Array
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class FittedStates:
+    """A site's states: what they were fitted with, and what was found."""
+
+    site: Site
+    law: FitLaw
+    plan: StretchPlan
+    curve: StateCurve
+    problem: JointProblem
+    found: Intervals
+
+    @property
+    def stretch_values(self) -> Array:
+        """The plan's parameters (n,) at the best fit."""
+        return self.found.best[1 + self.problem.n_shape : len(self.found.profiles)]
+
+    def given(self, way: str) -> list[float | None]:
+        """The stretches that the case gives for the states."""
+        return [getattr(each.stretch, way) for each in self.site.states]
+
+    def elastic(self, k: int, way: str) -> float:
+        """Elastic stretch of a state at the best fit."""
+        return self.plan.elastic(k, way, self.stretch_values)
+
+    def stretch_ends(self, k: int, way: str) -> tuple[float | None, float | None]:
+        """95 % interval of a state's elastic stretch, of at most one parameter; None where it is open."""
+        plan = self.plan
+        if way not in plan.ways:
+            return 1.0, 1.0
+        w = plan.ways.index(way)
+        base, places = float(np.exp(plan.offsets[k, w])), np.flatnonzero(plan.factors[k, w])
+        if not len(places):
+            return base, base
+        low, high = self.found.profiles[plan.parameters[int(places[0])].name].limits
+        if plan.factors[k, w, int(places[0])] > 0:
+            return low, high
+        return None if high is None else base / high, None if low is None else base / low
+
 
 # The minimum of the law's curve may lie outside the range of the states.
 _GRID = np.linspace(np.log(0.35), np.log(1.8), 241)
@@ -28,12 +71,12 @@ _AT_END = 0.01
 
 @dataclass(frozen=True, eq=False)
 class LeastStiffness:
-    """The minimum of the speed at rest in one direction (`way`).
+    """The minimum of the speed at rest in one direction (`way`), counted on the scale of the "case" or from
+    "unloaded".
 
-    by_law : ln stretch at the minimum of the law's curve, with its interval, on the case's scale if the case
-        gives stretches; of_states : the same by a parabola through the states that give stretches
-    counted : scale of the stretches, "case" or "unloaded" (relative to the unloaded length)
-    measured : ln of the least and greatest stretch of the states, at the best fit
+    by_law : ln stretch at the minimum of the law's curve, with its interval; of_states : the same by a
+        parabola through the states that give stretches; measured : ln of the least and greatest of the
+        states' stretches
     """
 
     way: str
@@ -121,7 +164,7 @@ def _of_way(fit: FittedStates, way: str, given: Sequence[float | None]) -> Least
     elif in_case:
         low, high = low + np.log(zero), high + np.log(zero)
     by_law = derived_interval(
-        problem.objective(), problem.parameters, found.fit, quantity, SearchRange(low, high, _PACE),
+        problem.objective(), problem.parameters, found.fit, quantity, low, high, _PACE,
         scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
     logs = [counted(found.best) + np.log(fit.elastic(k, way)) for k in range(len(given))]
@@ -131,7 +174,7 @@ def _of_way(fit: FittedStates, way: str, given: Sequence[float | None]) -> Least
     )
 
 
-def _of_states(problem: StatesProblem, given: Sequence[float | None]) -> LowestPoint:
+def _of_states(problem: JointProblem, given: Sequence[float | None]) -> LowestPoint:
     told = [(each, data) for each, data in zip(given, problem.task.data, strict=True) if each is not None]
     at_rest = [(data, int(np.argmin(data.speed_force))) for _, data in told]
     return lowest_of_points(

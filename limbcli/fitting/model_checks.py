@@ -59,10 +59,8 @@ BOUNDARIES = (
 
 @dataclass(frozen=True, eq=False)
 class ChangedForces:
-    """Forces of the fitted model with another boundary, as ratios (n_reached,) to its own; None without them.
-
-    error : why it could not be solved; None also where the model has no such boundary
-    """
+    """Forces with another boundary as ratios (n_reached,) to the model's own; None if not solved, because of
+    an error or because the model has no such boundary."""
 
     boundary: ChangedBoundary
     ratio: Array | None = None
@@ -73,11 +71,8 @@ def changed_forces(
     model: LimbModel, forces: Array, again: Callable[[ChangedBoundary], Array], *,
     progress: Progress = SILENT,
 ) -> list[ChangedForces]:  # fmt: skip
-    """The forces with each of `BOUNDARIES`.
-
-    model, forces (n_levels,) N : the fitted model, and its forces at the levels to compare at
-    again : the forces (n_reached,) N of the same model with another boundary; raises SolveError
-    """
+    """The forces of the fitted model with each of `BOUNDARIES`; again : gives those (n_reached,) N with one,
+    or raises SolveError."""
     found = []
     for boundary in BOUNDARIES:
         if boundary.of(model) is model:
@@ -93,13 +88,8 @@ def changed_forces(
 
 
 def boundary_modes(changed: Sequence[ChangedForces], depths: Array, knots: Array) -> Array:
-    """Changes of ln force (n_modes, n_knots), one standard deviation each: half of what a boundary changes.
-
-    depths (n_levels,) mm : levels of the comparison; knots (n_knots,) mm : those of the fit
-
-    The other extreme then lies two standard deviations from the model. Beyond the last level that was reached
-    the change is that of this level.
-    """
+    """Changes of ln force (n_modes, n_knots), one standard deviation each: half of what a boundary changes at
+    `depths` mm, so that the other extreme lies two deviations from the model; constant beyond the last."""
     changes = [np.log(np.maximum(each.ratio, 1e-9)) for each in changed if each.ratio is not None]
     modes = [_SHARE * np.interp(knots, depths[: len(each)], each) for each in changes]
     return np.array(modes).reshape(len(modes), len(knots))
@@ -111,10 +101,8 @@ def allowing_for(
 ) -> tuple[JointProblem, Intervals]:  # fmt: skip
     """A joint fit repeated from its result, with the boundaries' part in the gain of every site.
 
-    changed : by site, the forces with other boundaries; empty if none were solved
-
-    A gain multiplies all forces of a site, so that what a boundary changes counts with its root mean square
-    over the levels. Simulations of the first fit are not repeated.
+    changed : by site, the forces with other boundaries. Their root mean square over the levels counts, as a
+        gain multiplies all forces. Simulations of the first fit are not repeated.
     """
     shares = [
         total_share(list(boundary_modes(each, data.knots, data.knots)))
@@ -134,11 +122,11 @@ def write_boundary_check(
     changed: Sequence[ChangedForces], depths: Array, writer: StageWriter, *,
     parameters: Callable[[Array], Mapping[str, float]] | None = None, site: str | None = None,
 ) -> None:  # fmt: skip
-    """Write `boundary_check` of a fit and a line of the summary for every boundary.
+    """Write `boundary_check` of a fit, or of one site of several, and a line of the summary for every
+    boundary.
 
-    depths (n_levels,) mm : levels of the comparison
-    parameters : ratio of forces (n_reached,) -> the parameters with which that model fits the same data
-    site : name of the site, in a fit of several sites, each of which has its own check
+    depths (n_levels,) mm; parameters : ratio of forces (n_reached,) -> what fits the same data with that
+    model
     """
     at, found = "" if site is None else f"{site}: ", dict[str, dict[str, object]]()
     _write("boundary_check", site, found, writer)
@@ -179,12 +167,9 @@ def write_contact_check(
     penalty: float, forces: Array, depths: Array, harder: Callable[[float], Array], writer: StageWriter, *,
     site: str | None = None, progress: Progress = SILENT,
 ) -> None:  # fmt: skip
-    """Write `contact_check` of a fit, a line of the summary, and a warning if the change exceeds `MATTERS`.
-
-    penalty, forces (n_levels,), depths (n_levels,) : of the fitted model
-    harder : penalty -> forces (n_reached,) of the same model; raises SolveError
-    site : name of the site, in a fit of several sites, each of which has its own check
-    """
+    """Write `contact_check` of a fit, or of one site of several, a line of the summary, and a warning if the
+    change exceeds `MATTERS`. harder : penalty -> forces (n_reached,) N of the same model, or raises
+    SolveError"""
     at = "" if site is None else f"{site}: "
     progress.event("note", text=f"the fitted model with {HARDER:g} times the contact's penalty")
     reported = {"penalty": penalty, "tried": HARDER * penalty, "depths_mm": depths}

@@ -28,14 +28,11 @@ _LOCKED_FORCE = (1.13, 1.31, 1.90, 2.47, 3.39, 6.29, 8.0)
 def gain_deviation(
     model: LimbModel, given: float | None, *, studied: float | None = None, f_kappa: float | None = None
 ) -> float:
-    """Numerical error of ln force, one standard deviation.
+    """Numerical error of ln force, one standard deviation: given, or studied (at the start values), or by
+    element type and edge length.
 
-    It is the given one, else that of a mesh study, else an estimate by element type and edge length.
-
-    studied : from a mesh study at the start values, None if there is none
-    f_kappa : if given, the locking error of linear tetrahedra at this value is a lower limit, even if
-        the mesh was studied (at another f_kappa). The error has a definite sign and is taken as two
-        standard deviations.
+    f_kappa : the locking error of linear tetrahedra there, taken as two standard deviations, is a lower
+        limit, as the mesh is studied at another f_kappa
     """
     if given is not None:
         return given

@@ -85,12 +85,8 @@ def check_choice(
     objective: str, options: FitOptions, *, compare_element: bool = False, solver: str = "auto",
     febio: Path | None = None,
 ) -> None:  # fmt: skip
-    """Check that these options are compatible.
-
-    Raises CaseError if the objective is unknown, if FEBio is requested for a fit that only the reference
-    solver supports, or a stiffness map for a fit with a single c, or if an option has no effect on the
-    requested fit.
-    """
+    """Raise CaseError if the objective is unknown, FEBio is asked of a fit that only the reference solver
+    supports, or an option has no effect on the requested fit."""
     if objective not in OBJECTIVES:
         fix = f"use {', '.join(OBJECTIVES[:-1])} or {OBJECTIVES[-1]}"
         raise CaseError(f"there is no objective {objective!r}", where="--objective", fix=fix)
@@ -133,10 +129,7 @@ def check_choice(
 
 
 def check_numbers(options: FitOptions) -> None:
-    """Check the range of numbers given by hand.
-
-    Raises CaseError if one is out of range; the message names the option and its range.
-    """
+    """Raise CaseError, which names the option and its range, if a number given by hand is out of range."""
     if options.cycle != LAST and not (options.cycle.isdecimal() and int(options.cycle) >= 1):
         fix = "give the number of a cycle (1, 2, ...) or last"
         raise CaseError(f"--cycle is {options.cycle!r}", where="--cycle", fix=fix)

@@ -50,8 +50,7 @@ class Predicted:
 def write_speeds(
     fitted: LimbModel, simulation: Simulation, levels: Levels, site: Site, writer: StageWriter
 ) -> None:
-    """Write swe.csv, the predicted map of each level in swe/, swe.png and swe-maps.png; if speeds cannot be
-    predicted, only a warning."""
+    """Write swe.csv, maps in swe/, swe.png and swe-maps.png; only a warning if nothing can be predicted."""
     try:
         found = _predict(fitted, simulation, levels, site, writer)
     except LimbError as error:

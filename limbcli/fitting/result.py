@@ -143,10 +143,7 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
 
 
 def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -> None:
-    """Write the summary, `misfit` and the force's `agreement`.
-
-    last : table of the last step
-    """
+    """Write the summary, `misfit` and the force's `agreement`; last : table of the last step"""
     met, poor = step_agreement(found, found.steps[-1]), ""
     if met.state == "bad":
         poor = met.words
@@ -241,12 +238,8 @@ def _estimated(name: str, estimate: Mapping[str, Any], *, computed: bool) -> str
 
 
 def write_tissue_force(found: Identified, contact_penalty: float, writer: StageWriter) -> None:
-    """Write `tissue_force`: the fitted forces at the loaded levels, their noise, and all simulations.
-
-    A force often identifies neither f_kappa nor m alone, but well which of them belong together: the limb's
-    stiffness field takes this from here.
-
-    contact_penalty : of these simulations
+    """Write `tissue_force`: the fitted forces at the loaded levels, their noise, and all simulations, from
+    which the limb's stiffness field takes which f_kappa and m belong together.
 
     Nothing is written where the case states no noise, or the simulations lack derivatives.
     """

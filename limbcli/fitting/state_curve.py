@@ -9,7 +9,7 @@ import numpy as np
 
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import SolveError
-from limbcli.fitting.fibre_uncertainty import mean_fibre
+from limbcli.fitting.fibres import mean_fibre
 from limbcli.fitting.laws import FitLaw
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import Prediction
@@ -44,15 +44,12 @@ _CLEAR = 0.05  # mm from first touch, below which simulated levels are left out
 
 
 class StateCurve:
-    """The simulated curve of all states, which differ only in two stretches.
+    """The simulated curve of all states: of theta = (the law's shape, then the stretch of each of `ways`).
 
-    Called with theta = (the law's shape, then the stretch of each of `ways`); a stretch not in `ways` is 1.
-    With layers of fixed stiffness the shape is that of `law.beside_layers()`. Values are the forces
-    (n_levels,) N at depths from first touch in that state, then the speeds (n_levels,) and the speed at rest
-    (1,), both divided by the speed at rest in uniformly stretched tissue (`even_speed`). Forces have exact
-    derivatives, speeds none.
-
-    depths (n_levels,) : mm from first touch; law : its fibres get the model's directions
+    Values are the forces (n_levels,) N at `depths` mm from first touch in that state, then the speeds
+    (n_levels,) and the speed at rest (1,), both over that in evenly stretched tissue (`even_speed`). Forces
+    have exact derivatives, speeds none. With layers of fixed stiffness the shape is that of
+    `law.beside_layers()`.
     """
 
     def __init__(
@@ -121,13 +118,8 @@ class StateCurve:
     def _from_touch(
         self, depths: Array, forces: Array, force_slopes: Array, rise_slopes: Array, speeds: Array
     ) -> Prediction:
-        """Interpolate what was simulated at `depths` from first touch (n,) at the depths of the curve.
-
-        Slightly beyond the last simulated depth, forces and speeds are extrapolated linearly.
-
-        force_slopes (n, n_theta), rise_slopes (n_theta,) : derivatives by theta
-        speeds (1 + n,) : the first is that at rest
-        """
+        """Interpolate what was simulated at `depths` from first touch (n,) at those of the curve, linearly
+        beyond the last. speeds (1 + n,) : at rest first; force_slopes (n, n_theta), rise_slopes (n_theta,)"""
         if depths[-1] < _FURTHEST * self.depths[-1]:
             raise SolveError(
                 f"the stretched skin recedes so far that the probe ends {depths[-1]:.2f} mm below it; "

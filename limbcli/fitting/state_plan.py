@@ -15,6 +15,7 @@ import numpy as np
 
 from limbcli.case import Site
 from limbcli.errors import CaseError
+from limbcli.inference.joint_fit import States
 from limbcli.inference.parameter import FitParameter
 from limbcli.model import Array
 from limbcli.site_model.prestretch import WAYS
@@ -25,20 +26,15 @@ _REACH = 0.1  # least half-range, in ln stretch, of the first simulations
 
 
 @dataclass(frozen=True, eq=False)
-class StretchPlan:
+class StretchPlan(States):
     """The known and the searched stretches of a site's states.
 
-    ways : directions in which any state is stretched; parameters : those searched for
-    offsets (n_states, n_ways), factors (n_states, n_ways, n_parameters) : ln of the elastic stretches is
-        offset + factor . ln parameters
+    ways : directions in which any state is stretched; the `parameters` are those searched for
     unloaded : by way, the given stretch at which the tissue is unloaded, if that is not searched for
     taken : ways in which it was assumed to be the stretch of all states, because all give the same
     """
 
     ways: tuple[str, ...]
-    parameters: tuple[FitParameter, ...]
-    offsets: Array
-    factors: Array
     unloaded: dict[str, float]
     taken: tuple[str, ...]
 
@@ -79,10 +75,8 @@ def plan_of(
     given: Mapping[str, Sequence[float | None]], known_unloaded: Mapping[str, float | None],
     states: Sequence[str], *, where: str = "the case",
 ) -> StretchPlan:  # fmt: skip
-    """The plan for these given stretches.
-
-    given : by way, the stretch of every state, None if unknown; ways that are left out are not stretched
-    known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
+    """The plan for these given stretches: by way, that of every state, None if unknown; ways left out are not
+    stretched. known_unloaded : by way, the given stretch at which the tissue is known to be unloaded
 
     Raises CaseError if the states do not differ, or give stretches too far apart to be searched.
     """
@@ -119,7 +113,8 @@ def plan_of(
     factors = np.zeros((len(states), len(ways), len(parameters)))
     for k, w, j, factor in entries:
         factors[k, w, j] = factor
-    return StretchPlan(tuple(ways), tuple(parameters), np.array(columns).T, factors, unloaded, tuple(taken))
+    offsets = np.array(columns).T
+    return StretchPlan(tuple(parameters), offsets, factors, tuple(ways), unloaded, tuple(taken))
 
 
 def _searched(

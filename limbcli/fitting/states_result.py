@@ -14,10 +14,9 @@ from limbcli.drawing import save_figure
 from limbcli.effects.tissue import fibre_direction
 from limbcli.feb.write import write_feb
 from limbcli.fitting.exports import parameter_rows, write_exports
-from limbcli.fitting.fitted_states import FittedStates
 from limbcli.fitting.joint_picture import draw_joint
 from limbcli.fitting.joint_result import parameter_table, report_fit, write_level_table, write_numbers
-from limbcli.fitting.least_stiffness import LeastStiffness, least_stiffness
+from limbcli.fitting.least_stiffness import FittedStates, LeastStiffness, least_stiffness
 from limbcli.fitting.state_plan import HIGH, LOW, StretchPlan
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.interval_limits import Flag
@@ -46,13 +45,14 @@ def write_states(fit: FittedStates, model: LimbModel, writer: StageWriter) -> No
     parameters = _with_stretches_judged(parameter_table(problem, found), plan)
     c, shape = float(found.best[0]), found.best[1 : 1 + problem.n_shape]
     lowest = least_stiffness(fit)
-    write_numbers(writer, "states", law, parameters, found, [model], problem.task.curve.n_solves)
+    write_numbers(writer, "states", law, parameters, found, [model], problem.task.curves[0].n_solves)
     writer.data.update(
         states={each.name: _state(k, fit) for k, each in enumerate(fit.site.states)},
         least_stiffness={each.way: each.to_json() for each in lowest},
         taken_as_unloaded={way: plan.unloaded[way] for way in plan.taken},
         undetermined=_undetermined(parameters, plan, lowest),
-        gain=problem.gain(found.best), gain_deviation_fraction=problem.task.gain_deviation,
+        gain=problem.blocks[0].place(found.best)[1],
+        gain_deviation_fraction=problem.task.data[0].gain_deviation,
     )  # fmt: skip
     fitted = model.with_material(TISSUE, law.along(fibre_direction(model)).material(c, shape))
     seen = [each.predict(found.best) for each in problem.blocks]
@@ -120,9 +120,10 @@ def _undetermined(
 def _write_models(fit: FittedStates, model: LimbModel, writer: StageWriter) -> None:
     """Write <state>.feb: the fitted law with the state's prestretch, driven through the simulated depths."""
     problem, best = fit.problem, fit.found.best
+    c = problem.task.c0 * problem.blocks[0].place(best)[0]
     base = through_depths(model, [float(each) for each in fit.curve.depths], clear=False)
     for k, state in enumerate(fit.site.states):
-        fitted = fit.curve.in_state(base, problem.place(k, best), c=problem.c_of_curve(best))
+        fitted = fit.curve.in_state(base, problem.place(k, best), c=c)
         write_feb(fitted, writer.file(f"feb_{state.name}", f"{state.name}.feb"))
 
 
@@ -139,7 +140,7 @@ def _panel(each: LeastStiffness, fit: FittedStates) -> StatesPanel:
     grid = np.geomspace(max(0.95 * min(shown), LOW * zero), min(1.05 * max(shown), HIGH * zero), 81)
     stretches = np.ones((len(grid), len(plan.ways)))
     stretches[:, column] = grid / zero
-    ratio = problem.c_of_curve(best) / problem.task.c0
+    ratio = problem.blocks[0].place(best)[0]
     speed = np.exp(fit.curve.even_speeds(problem.curve_shape(best), stretches)) * np.sqrt(ratio)
     lowest = (float(by_law[0]), float(by_law[1]), float(by_law[2])) if each.is_determined else None
     return StatesPanel(
@@ -177,11 +178,9 @@ class StateReading:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class StatesPanel:
-    """One direction of stretch.
+    """One direction of stretch, counted on the scale of the "case" or from "unloaded".
 
-    counted : scale of the stretch: "case", that of the case, or "unloaded"
-    stretch, speed : (n,) curve of the fitted law
-    unloaded : the stretch at which the tissue is unloaded
+    stretch, speed : (n,) curve of the fitted law; unloaded : the stretch at which the tissue is unloaded
     lowest : stretch of minimum speed with its 95 % ends; None if the data do not determine it
     """
 

@@ -67,12 +67,10 @@ class TissueMap:
 
 
 def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
-    """c(x) = 2 rho v0(x)^2 at the centre of every tissue element, from the site's level-0 map.
+    """c(x) = 2 rho v0(x)^2 at the centre of every tissue element, from the map of the level in this row.
 
-    row : row of the level in levels.csv, which is also the number of its map
-
-    Raises CaseError if the site has no maps; MeasurementError if the map of level 0 is missing, faulty, too
-    small, or outside the model; MeshError if the tissue is not a single block.
+    Raises CaseError if the site has no maps; MeasurementError if that map is missing, faulty, too small, or
+    outside the model; MeshError if the tissue is not a single block.
     """
     swe = _level_0(site, row)
     raise_errors(check_width(swe, probe_length(model)), MeasurementError)
@@ -85,16 +83,16 @@ def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
         )
     block = model.mesh.block(names[0])
     middles = model.mesh.points[block.cells].mean(axis=1)
-    found = stiffness_at(swe, middles, density_kg_per_m3=site.density_kg_per_m3)
-    if not found.inside.any():
+    c, inside, median = stiffness_at(swe, middles, density_kg_per_m3=site.density_kg_per_m3)
+    if not inside.any():
         raise MeasurementError(
             f"the shear-wave map of level 0 lies outside the model: lateral {_ends_words(swe.lateral)}, "
             f"depth {_ends_words(swe.depth)} hold none of its {len(middles)} elements",
             where=str(swe.path),
             fix="lateral_mm is 0 under the probe's centre, depth_mm is 0 at its face and grows downwards",
         )
-    c = ElementMap(f"{TISSUE}_c", block.name, found.c)
-    return TissueMap(c, swe, found.median, int(found.inside.sum()), _without_tissue(swe, middles))
+    c_map = ElementMap(f"{TISSUE}_c", block.name, c)
+    return TissueMap(c_map, swe, median, int(inside.sum()), _without_tissue(swe, middles))
 
 
 def probe_length(model: LimbModel) -> float:
@@ -223,24 +221,11 @@ FADE = 6.0  # mm, distance over which a value fades into the median outside the 
 _LEAST_PIXELS = 12
 
 
-@dataclass(frozen=True, eq=False)
-class Stiffnesses:
-    """Stiffness at given points.
-
-    c (n_points,) : MPa; inside (n_points,) : whether each point lies in the image; median : MPa, c far from
-        the image
-    """
-
-    c: Array
-    inside: NDArray[np.bool_]
-    median: float
-
-
-def stiffness_at(swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0) -> Stiffnesses:
-    """c at points of a site's model.
-
-    swe : the map of level 0, lateral along the model's x, depth along -z, mm
-    points : (n_points, 3) mm, frame of the site's model
+def stiffness_at(
+    swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.0
+) -> tuple[Array, NDArray[np.bool_], float]:
+    """c (MPa) at points (n_points, 3) mm of a site's model, from its map of level 0; whether each lies in the
+    image; and the median, which is c far from it.
 
     Raises MeasurementError if the map has fewer than a dozen pixels or they are collinear.
     """
@@ -261,7 +246,7 @@ def stiffness_at(swe: SweMap, points: Array, *, density_kg_per_m3: float = 1000.
     weight = np.exp(-0.5 * (np.where(in_plane, 0.0, outside) / FADE) ** 2)
     median = float(np.median(log_c))
     c = np.exp(weight * value + (1.0 - weight) * median)
-    return Stiffnesses(c, in_plane, float(np.exp(median)))
+    return c, in_plane, float(np.exp(median))
 
 
 def _smoothed(places: Array, values: Array) -> Array:

@@ -36,10 +36,10 @@ class Identified(CurveMatch):
 
     modes : changes of ln force (n_modes, n_knots), one standard deviation each, by what is not known of the
     model's geometry and boundaries
-    gains : numerical error of ln force at each step's parameters; empty: that of `stiffness`
+    known : c with its uncertainty, and the numerical error of ln force, at each step
     """
 
-    stiffness: Stiffness
+    known: Sequence[Stiffness]
     c_source: str
     start: Array
     steps: Sequence[FittedStep]
@@ -47,13 +47,14 @@ class Identified(CurveMatch):
     cold_seconds: float
     why_no_intervals: str = "no interval was requested"
     modes: Array | None = None
-    gains: Sequence[float] = ()
+
+    @property
+    def stiffness(self) -> Stiffness:
+        return self.known[-1]
 
     def gain_of(self, step: FittedStep) -> float:
         """Numerical error of ln force at the step's parameters, one standard deviation."""
-        if not self.gains:
-            return self.stiffness.gain_deviation
-        return self.gains[self.place(step)]
+        return self.known[self.place(step)].gain_deviation
 
     def place(self, step: FittedStep) -> int:
         return next(k for k, each in enumerate(self.steps) if each is step)
@@ -90,17 +91,14 @@ def step_table(found: Identified, k: int) -> dict[str, Any]:
         },
         "profiles": _profiles(found, k),
         "history": [
-            {"cost_n2": each.cost, **dict(zip(searched, each.theta, strict=True))}
-            for each in step.fit.history
+            {"cost_n2": cost, **dict(zip(searched, theta, strict=True))} for theta, cost in step.fit.history
         ],
     }  # fmt: skip
 
 
 def total_covariance(found: Identified, step: FittedStep) -> Array:
-    """Covariance (3, 3) of ln c, ln f_kappa, ln m; NaN for parameters not searched or without influence.
-
-    If the data scatter more than their stated noise, the noise is scaled as for the intervals.
-    """
+    """Covariance (3, 3) of ln c, ln f_kappa, ln m, with the noise scaled as for the intervals; NaN for
+    parameters not searched or without influence."""
     answer = sensitivities(found, step.theta)
     variance = found.variance(step.theta)
     free = inside(step)
@@ -129,13 +127,9 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
 
 
 def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: Array, held: Array) -> float:
-    """Factor by which the noise's variance exceeds the stated one: that of the intervals, else by residuals.
-
-    columns (n, p) : sensitivities
-    held (n, k) : N, effect of one standard deviation of each quantity held fixed
-
-    The residuals are compared with those expected of an unweighted fit from the noise and these errors.
-    """
+    """Factor by which the noise's variance exceeds the stated one: that of the intervals, else by the
+    residuals over those that an unweighted fit leaves of the noise and of `held` (n, k), N, one deviation of
+    each quantity held fixed. columns (n, p) : sensitivities"""
     if found.intervals:
         return found.intervals[found.place(step)].scale
     left = np.eye(len(variance)) - columns @ np.linalg.pinv(columns)
@@ -216,10 +210,8 @@ def _parameter(
 
 
 def _profiles(found: Identified, k: int) -> dict[str, dict[str, Any]]:
-    """The profile likelihoods: parameter values, increase of -2 ln likelihood, and its limit at 95 %.
-
-    extended_to_fit : the interval ends at the published fit, where the curve is already above the limit
-    """
+    """The profile likelihoods: values, deviance, its limit at 95 %, and whether the interval was extended to
+    the published fit, where the curve is above that limit."""
     if not found.intervals:
         return {}
     limit = found.intervals[k].threshold

@@ -32,13 +32,11 @@ _SETTLES = 4  # largest number of refits with updated weights
 
 @dataclass(frozen=True, eq=False)
 class Intervals:
-    """Profile likelihoods by parameter name, and the best fit.
+    """Profile likelihoods by parameter name, and the most likely theta (`best`) with its fit.
 
-    best : most likely theta, with its `fit`
     scale : chi-square per degree of freedom where it exceeds 1, else 1; the deviances are divided by it
     threshold : deviance at the ends of the intervals
-    n_solves : number of simulations added
-    unsolved : parameter sets at which the model could not be solved
+    n_solves : number of simulations added; unsolved : parameter sets at which the model could not be solved
     """
 
     profiles: dict[str, Profile]
@@ -57,11 +55,11 @@ def adaptive_profiles(
 ) -> Intervals:
     """Profile likelihoods from as few simulations as the accuracy of the intervals allows.
 
-    Where chi-square exceeds its degrees of freedom, the noise is assumed to be larger than stated by that
-    factor. The stronger the evidence for this, the closer the intervals are to those of a noise that is
-    estimated from the data (`threshold_95`).
+    Where chi-square exceeds its degrees of freedom, the noise is taken as larger by that factor; the stronger
+    the evidence for this, the closer the intervals are to those of a noise estimated from the data
+    (`threshold_95`).
 
-    estimate : a theta found by another method (the published fit); every interval is widened to include it
+    estimate : a theta found by another method (the published fit), which every interval is widened to include
     """
     work = _Work(problem, estimate)
     for done in range(max_solves + 1):

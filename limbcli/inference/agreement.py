@@ -17,7 +17,7 @@ from typing import Any, Literal
 import numpy as np
 from scipy.special import bdtr, chdtr, chdtrc
 
-from limbcli.inference.residual import root_mean_square
+from limbcli.inference.prediction import root_mean_square
 from limbcli.model import Array
 from limbcli.numbers.significant_digits import short
 
@@ -36,11 +36,10 @@ LEAST_R2 = 0.9  # R2 below which a fit is bad; any curve that increases with the
 
 @dataclass(frozen=True)
 class FitAgreement:
-    """A verdict with its numbers; None where a number does not exist.
+    """A verdict with its numbers, None where there is none, and one sentence with those that decided.
 
-    words : one sentence, with the numbers that decided
     rms, noise_rms : of the differences and of the counted noise, in the unit of the quantity
-    chance : probability of a chi-square as large or larger; chance_below: as small or smaller
+    chance, chance_below : probability of a chi-square as large or larger, and as small or smaller
     n_changes, runs_chance : changes of sign along the depth, and the probability of as few
     too_close : whether the differences are smaller than the counted noise allows
     """
@@ -210,10 +209,7 @@ def _numbers(
 
 
 def _judged(numbers: Mapping[str, Any], *, bad: bool, good: str, poor: str) -> FitAgreement:
-    """The verdict of the tests; `bad`: a test of size has already decided.
-
-    good : words of a fit that is not bad, with the field `agrees` for how well it agrees
-    """
+    """The verdict of the tests; bad : a test of size has decided; good : words, with the field `agrees`"""
     chance, below, runs = (numbers.get(name) for name in ("chance", "chance_below", "runs_chance"))
     told = ""
     if chance is not None:

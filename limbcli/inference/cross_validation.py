@@ -91,8 +91,7 @@ def predict_left_out(
 
 
 def springs_left_out(people: Array, thickness: Array, compliance: Array, *, seed: int = 7) -> Array:
-    """Springs in series: compliance = a fat + b muscle, all sites together, by least squares on the same
-    folds."""
+    """Springs in series: compliance = a fat + b muscle of all sites, by least squares on the same folds."""
     return _left_out_by_group(people, np.zeros(len(people)), thickness, compliance, seed)
 
 

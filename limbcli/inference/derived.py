@@ -10,8 +10,8 @@ from scipy.special import ndtri
 
 from limbcli.inference.least_squares import Fit
 from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Objective, Residual
 from limbcli.inference.profile import best_of, walk
-from limbcli.inference.residual import Objective, Residual
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import THRESHOLD_95
 
@@ -21,10 +21,7 @@ _STEP = 1e-4  # finite-difference step in ln theta for the quantity's derivative
 
 @dataclass(frozen=True)
 class DerivedInterval:
-    """Value at the best fit, and the ends of its 95 % interval.
-
-    low, high : ends of the interval; on a side where nothing is excluded, the last value reached
-    """
+    """Value at the best fit, and ends of its 95 % interval; the last reached where nothing is excluded."""
 
     value: float
     low: float
@@ -33,33 +30,18 @@ class DerivedInterval:
     open_high: bool
 
 
-@dataclass(frozen=True)
-class SearchRange:
-    """Values of a quantity that are searched, in its unit; pace : step of the walk outwards."""
-
-    low: float
-    high: float
-    pace: float
-
-
 def derived_interval(
     objective: Objective, parameters: Sequence[FitParameter], best: Fit, quantity: Callable[[Array], float],
-    search: SearchRange, *, scale: float = 1.0, threshold: float = THRESHOLD_95,
+    low: float, high: float, pace: float, *, scale: float = 1.0, threshold: float = THRESHOLD_95,
 ) -> DerivedInterval:  # fmt: skip
-    """Interval of the values of `quantity` that the data do not exclude, within the range of the search.
+    """Interval of the values of `quantity` (of theta, smooth in ln theta), between low and high, that the
+    data do not exclude: it is held ever farther from its best-fit value, by steps of `pace`, with all
+    parameters refitted. The penalty that holds it does not enter the deviance.
 
-    The quantity is constrained to values increasingly far from its best-fit value while all parameters are
-    refitted; the constraint is a penalty residual that does not enter the deviance.
-
-    objective : residuals in standard deviations
-    quantity : theta -> a number that varies smoothly with ln theta
-    scale : the deviance is divided by it
-    threshold : deviance at the ends of the interval (`threshold_95` where the noise may be larger than
-        stated)
+    objective : residuals in standard deviations; scale, threshold : as of `profile_likelihood`
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87, for a function of the parameters.
     """
-    low, high, pace = search.low, search.high, search.pace
     value = float(np.clip(quantity(best.theta), low, high))
 
     def at(target: float, guess: Array) -> tuple[float, Array]:

@@ -28,21 +28,18 @@ def at_depths(modes: Array, knots: Array, depth: Array) -> Array:
 
 
 def shifts(columns: Array, moved: Array) -> Array:
-    """Change of ln theta (n_modes, p) of a least-squares fit by each mode.
-
-    columns : (n, p) d force / d ln theta
-    moved : (n, n_modes) N
+    """Change of ln theta (n_modes, p) of a least-squares fit by each mode; columns (n, p) : d force / d ln
+    theta, moved (n, n_modes) : N
     """
     return np.asarray((np.linalg.pinv(columns) @ moved).T)
 
 
 def no_narrower(wide: Intervals, narrow: Intervals) -> Intervals:
-    """The intervals with the uncertainty of the geometry, but not narrower than those of the noise alone.
+    """The intervals with the geometry's uncertainty, but not narrower than those of the noise alone, as modes
+    may explain scatter by which the noise was enlarged.
 
-    Where the data scatter more than their noise, the modes may explain that scatter and so reduce the factor
-    by which the noise was enlarged; an additional uncertainty must not narrow the result. Each profile is the
-    curve that crosses the limit where its interval ends: that of the wider interval or, where each is wider
-    on one side, the lower of the two curves.
+    Each profile is the curve that crosses the limit where its interval ends: that of the wider interval or,
+    where each is wider on one side, the lower of the two.
     """
     ratio = wide.threshold / narrow.threshold  # of the units of the deviances
     scaled = {name: replace(each, deviance=each.deviance * ratio) for name, each in narrow.profiles.items()}

@@ -60,17 +60,13 @@ def log_covariance(
     sensitivity: Array, variance: Array, *, nuisance: Array | None = None,
     nuisance_deviation: float | Array = 0.0,
 ) -> Array:  # fmt: skip
-    """Covariance (p, p) of ln theta of an unweighted least-squares estimate.
+    """Covariance (p, p) of ln theta of an unweighted least-squares estimate; NaN where not determined.
 
-    A V A' with A = (S'S)^-1 S' (the sandwich estimator: the fit weighs all residuals equally although their
-    variances differ), plus the contribution of each quantity that was held fixed: (A s)(A s)' sigma^2.
+    A V A' with A = (S'S)^-1 S' (the sandwich estimator: all residuals weigh the same although their variance
+    (n,) differs), plus (A s)(A s)' sigma^2 of each quantity held fixed.
 
-    sensitivity : (n, p) d prediction / d ln theta
-    variance : (n,) of the residuals
-    nuisance : (n,) or (n, k) d prediction / d ln of the quantities held fixed (c)
-    nuisance_deviation : standard deviation of their ln, or (k,)
-
-    Entries of a parameter that the data do not determine (`are_determined`) are NaN.
+    sensitivity : (n, p) d prediction / d ln theta; nuisance : (n,) or (n, k), the same of what is held fixed
+        (c); nuisance_deviation : standard deviation of its ln, or (k,)
     """
     p = sensitivity.shape[1]
     covariance = np.full((p, p), np.nan)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 from scipy import optimize
 
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.parameter import FitParameter, natural, normalised, slopes
-from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.prediction import Objective, Residual
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -26,21 +26,13 @@ _REASONS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Iterate:
-    """One accepted iterate of the search."""
-
-    theta: Array
-    cost: float
-
-
-@dataclass(frozen=True, eq=False)
 class Fit:
     """Result of the search.
 
     theta : (n_parameters,)
     residual, jacobian : (n,) and (n, n_parameters) d residual / d theta at theta
     cost : sum of squares
-    reason : the termination test that was met
+    reason : the termination test that was met; history : theta and cost of every accepted iterate
     """
 
     parameters: tuple[FitParameter, ...]
@@ -50,7 +42,7 @@ class Fit:
     cost: float
     n_iterations: int
     reason: str
-    history: tuple[Iterate, ...] = field(default=())
+    history: tuple[tuple[Array, float], ...] = ()
 
 
 def least_squares_fit(
@@ -61,14 +53,12 @@ def least_squares_fit(
     """Bounded least squares in the normalised parameters.
 
     A trial at which the model cannot be solved (SolveError) counts as worse, and so does, without a solve,
-    one that changes a parameter by more than its step factor.
+    one that changes a parameter by more than its step factor. The search ends when a step lowers the cost by
+    at most `tolerance` relative to it, or is within `tolerance` relative to the parameters, or nothing leads
+    down.
 
-    guide : theta -> a better guess from what is known of the model so far (at no cost). Its guesses come
-        first, while the cost decreases at them. Convergence is decided with the model's own derivatives: no
-        step lowers the linearised cost by more than `tolerance`.
-
-    The search ends when a step lowers the cost by at most `tolerance` relative to it, or is within
-    `tolerance` relative to the parameters, or there is no descent direction.
+    guide : theta -> a better guess from what is known of the model so far, at no cost, tried first while the
+        cost decreases. Then no step may lower the linearised cost by more than `tolerance`.
 
     Raises SolveError if the model cannot be solved at the start values; FitError if the residual is not
     finite there, or the search has not converged after `max_iterations` and `must_settle` is set.
@@ -108,7 +98,7 @@ class _Search:
         self.high = np.array([p.high for p in parameters])
         self.factor = np.array([p.step_factor for p in parameters])
         self.box = tuple(normalised(parameters, each) for each in (self.low, self.high))
-        self.history: list[Iterate] = []
+        self.history: list[tuple[Array, float]] = []
         self.trial: tuple[Array, Residual] | None = None
         start = np.array([p.start for p in parameters])
         first = objective(start, True)
@@ -125,15 +115,15 @@ class _Search:
             raise _UsedUp
         self.theta = theta
         self.now = residual if residual.jacobian is not None else self.objective(theta, True)
-        self.history.append(Iterate(theta.copy(), residual.cost))
+        self.history.append((theta.copy(), residual.cost))
         self.progress.event(
             "fit", iteration=len(self.history), cost=residual.cost,
             parameters={p.name: float(t) for p, t in zip(self.parameters, theta, strict=True)},
         )  # fmt: skip
 
     def guided(self, guide: Guide, tolerance: float) -> str:
-        """Accept the guide's guess, else the Gauss-Newton step, while one of them lowers the cost; the
-        termination reason, or "" where neither does."""
+        """Accept guesses, else Gauss-Newton steps, while they lower the cost; why it ended, "" if they do
+        not."""
         while True:
             step, fall = self._linear()
             if self._is_small(step, tolerance) and fall <= tolerance**2 * self.now.cost:

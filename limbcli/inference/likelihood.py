@@ -16,12 +16,11 @@ from functools import cached_property
 
 import numpy as np
 
-from limbcli.inference.emulator import Emulator
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.prediction import Prediction
-from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.prediction import Objective, Prediction, Residual
 from limbcli.inference.site_depth import RestSpeed, SiteMeasurement, SitePrediction, predict_site
+from limbcli.inference.surrogate import Emulator
 from limbcli.model import Array
 from limbcli.numbers.whitening import Whitener
 
@@ -270,11 +269,8 @@ class Likelihood:
         return max(each.distance(theta) for each in self.blocks)
 
     def solve(self, theta: Array) -> None:
-        """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those
-        that are too uncertain, or else the farthest from any solved point.
-
-        Raises SolveError if the model cannot be solved there.
-        """
+        """Simulate every curve at theta and refresh the surrogates; of several blocks of a curve those that
+        are too uncertain, or else the farthest from any solved point. Raises SolveError if that fails."""
         for emulator in dict.fromkeys(each.emulator for each in self.blocks):
             own = [each for each in self.blocks if each.emulator is emulator]
             chosen = [each for each in own if len(own) > 1 and each.uncertainty(theta) > _SURE]

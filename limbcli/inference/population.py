@@ -78,13 +78,9 @@ class Population:
 
     @property
     def deviation_interval(self) -> tuple[Array, Array]:
-        """95 % interval of the standard deviations: low, high (p,).
-
-        The upper end uses chi-square with the number of degrees of freedom that corresponds to the standard
-        error, but at least the number of rows that the prior weighs as much as. The lower end uses the
-        Gaussian error itself, because below the prior's deviation it is the prior that keeps the spread from
-        falling.
-        """
+        """95 % interval of the standard deviations: low, high (p,). Above by chi-square, with the degrees of
+        freedom of the standard error, or as many as the prior's rows; below by the Gaussian error, as there
+        the prior keeps the spread from falling."""
         free = np.maximum(0.5 * (self.deviation / self.deviation_error) ** 2, _PRIOR_ROWS)
         low = self.deviation - ndtri(_HIGH) * self.deviation_error
         return np.maximum(low, 0.0), self.deviation * np.sqrt(free / chdtri(free, 1.0 - _LOW))
@@ -92,15 +88,13 @@ class Population:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Posterior of each row under the estimated population.
+    """Posterior of each row under the estimated population; mean, deviation, mode : (n, p).
 
-    mean, deviation, mode : (n, p)
     low, high : ends of the 95 % interval, including the uncertainty of the population mean (n, p)
-    effective : effective number of draws (n,)
-    shrinkage : posterior variance over population variance (n, p), 0 to 1; 1 where the data do not inform the
-        parameter
-    misfit : squared Mahalanobis distance (n,) of the readings from those of the population mean, with the
-        covariance of population and noise together; chi-square with as many degrees of freedom as readings
+    effective : effective number of draws (n,); shrinkage : posterior over population variance (n, p), 1 where
+        the data do not inform the parameter
+    misfit : squared Mahalanobis distance (n,) of the readings from those of the population mean, by
+        population and noise together; chi-square with as many degrees of freedom as readings
     """
 
     mean: Array
@@ -182,10 +176,8 @@ def row_modes(model: Model, readings: Array, noise: Array, mean: Array, spread: 
 def modes(
     problem: _Problem, mean: Array, spread: Array, start: Array, *, steps: int = _STEPS
 ) -> tuple[Array, Array]:
-    """Most likely parameters (n, p) of each row under a given population, and their covariance (n, p, p).
-
-    Gauss-Newton iterations; a step that increases the cost is halved.
-    """
+    """Most likely parameters (n, p) of each row under a given population, and their covariance (n, p, p):
+    Gauss-Newton iterations, in which a step that increases the cost is halved."""
     precision = _inverse(spread)
     theta = start.copy()
     values, slopes = problem.model(theta, True)
@@ -231,8 +223,7 @@ def _quadratic(
 
 
 def _maximised(theta: Array, covariance: Array, prior: Array) -> tuple[Array, Array]:
-    """Population mean and spread that maximise the expected log posterior (M step), from the mean and
-    covariance of each row."""
+    """Population mean and spread of the largest expected log posterior (M step), from each row's moments."""
     mean = theta.mean(axis=0)
     apart = theta - mean
     total = covariance.sum(axis=0) + apart.T @ apart + prior
@@ -283,8 +274,7 @@ def _moments(points: Array, weights: Array) -> tuple[Array, Array]:
 def _errors(
     points: Array, weights: Array, mean: Array, spread: Array, prior: Array, people: Array | None
 ) -> Array:
-    """Standard errors (2 p,) of the means and of the standard deviations, the correlations held fixed; in
-    units of the population's standard deviations."""
+    """Standard errors (2 p,) of means and deviations, in the population's, at fixed correlations."""
     deviation = np.sqrt(np.diag(spread))
     apart, like = (points - mean) / deviation, spread / np.outer(deviation, deviation)
     precision = _inverse(like)

@@ -19,10 +19,7 @@ from limbcli.model import Array
 
 @dataclass(frozen=True, eq=False)
 class Prediction:
-    """values (n,), and jacobian (n, n_parameters) d value / d theta, or None.
-
-    A column of NaN is a derivative that was not requested.
-    """
+    """values (n,), and jacobian (n, n_parameters) by theta, NaN where not requested, or None."""
 
     values: Array
     jacobian: Array | None = None
@@ -62,11 +59,9 @@ ParallelMap = Callable[[Callable[[Array], Any], Iterable[Array]], Iterable[Any]]
 class Differences:
     """Adds forward-difference derivatives to a curve that has none.
 
-    evaluate : theta -> values (n,)
-    upper : (n_parameters,) upper bounds; where a step would cross one, or the shifted set cannot be solved,
-        the step is taken downwards
-    relative_step : step relative to each parameter. It must be large compared with the solver's tolerance:
-        FEBio's forces are accurate to about 1e-3, so the step is large and the derivative a secant.
+    upper : (n_parameters,) bounds; where a step would cross one, or the shifted set cannot be solved, it is
+        taken downwards
+    relative_step : large compared with the solver's tolerance (FEBio's forces are accurate to about 1e-3)
     run_all : a `map` function; a parallel one evaluates the shifted sets at the same time
     """
 
@@ -116,10 +111,7 @@ class Differences:
 
 
 class SolvedPoints:
-    """Cache of a curve: the same parameters are never solved twice.
-
-    `solved` holds (theta, prediction) in the order in which they were first solved.
-    """
+    """Cache of a curve; `solved` holds (theta, prediction) in the order in which they were first solved."""
 
     def __init__(self, curve: PredictedCurve):
         self._curve = curve
@@ -160,13 +152,9 @@ class SolvedPoints:
 def sampled(
     curve: PredictedCurve, knots: Array, depths: Array, *, free: Sequence[int], fixed: Array
 ) -> Predictor:
-    """Force at measured depths as a function of some of the curve's parameters.
-
-    The curve's forces at `knots` (increasing, > 0), with the origin added, are interpolated at `depths` by
-    PCHIP; before first touch (depth < 0) the force is 0.
-
-    free : indices of the parameters that theta holds; `fixed` (n_parameters,) gives the others
-    """
+    """Force at measured depths as a function of the `free` ones of the curve's parameters; fixed
+    (n_parameters,) gives the others. The forces at `knots` and the origin are interpolated by PCHIP; before
+    first touch they are 0."""
     places, columns = np.maximum(depths, 0.0), list(free)
 
     def predict(theta: Array, *, derivative: bool = True) -> Prediction:
@@ -179,3 +167,48 @@ def sampled(
         return Prediction(sample.values, sample.weights[:, 1:] @ at_knots.jacobian[:, columns])
 
     return predict
+
+
+class Residual(Prediction):
+    """Predicted minus measured values, or the reverse."""
+
+    @property
+    def cost(self) -> float:
+        """Sum of squares."""
+        return float(self.values @ self.values)
+
+
+Objective = Callable[[Array, bool], Residual]
+
+
+def force_residual(predict: Predictor, measured: Array) -> Objective:
+    """F_exp - F_sim at the measured depths: the paper's objective, unweighted."""
+
+    def objective(theta: Array, derivative: bool = True) -> Residual:
+        prediction = predict(theta, derivative=derivative)
+        jacobian = prediction.jacobian
+        return Residual(measured - prediction.values, None if jacobian is None else -jacobian)
+
+    return objective
+
+
+def coefficient_of_determination(measured: Array, simulated: Array) -> float:
+    """R2 = 1 - SS_residual / SS_total; NaN where the data do not vary.
+
+    For a monotone curve R2 is near 1 for any monotone model, so it is no evidence of a good fit.
+
+    >>> coefficient_of_determination(np.array([0.0, 2.0, 4.0]), np.array([0.0, 2.0, 4.0]))
+    1.0
+    >>> coefficient_of_determination(np.array([0.0, 2.0, 4.0]), np.array([0.0, 2.0, 2.0]))
+    0.5
+    """
+    total = float(np.sum((measured - measured.mean()) ** 2))
+    return 1.0 - float(np.sum((measured - simulated) ** 2)) / total if total > 0.0 else float("nan")
+
+
+def root_mean_square(residual: Array) -> float:
+    """
+    >>> root_mean_square(np.array([0.0, -10.0, 0.0, 0.0]))
+    5.0
+    """
+    return float(np.sqrt(np.mean(residual**2)))

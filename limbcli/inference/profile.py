@@ -10,7 +10,7 @@ import numpy as np
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.least_squares import Fit, least_squares_fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.residual import Objective, Residual
+from limbcli.inference.prediction import Objective, Residual
 from limbcli.model import Array
 from limbcli.numbers.interval_limits import THRESHOLD_95
 
@@ -26,13 +26,10 @@ Held = Callable[[float, Array], tuple[float, Array]]
 class Profile:
     """Profile likelihood of one parameter.
 
-    values : (n,) increasing
-    deviance : (n,) decrease of twice the log likelihood from its maximum
-    thetas : (n, n_parameters) refitted parameters at the values
-    low, high : ends of the interval
-    open_low, open_high : the profile is still below the threshold at that bound, so the data exclude nothing
-        on that side
-    ends : (2, n_parameters) theta at low and at high
+    values, deviance : (n,) increasing, and decrease of twice the log likelihood from its maximum
+    thetas : (n, n_parameters) refitted at the values; ends : (2, n_parameters) at low and at high
+    open_low, open_high : the profile is below the threshold at that bound: the data exclude nothing on that
+        side
     """
 
     name: str
@@ -60,18 +57,13 @@ class Profile:
         return np.asarray(np.interp(np.log(values), np.log(self.values), root, left=np.inf, right=np.inf))
 
     def ends_beyond(self, limit: float) -> bool:
-        """Whether an end of the interval lies where the curve is above the limit, or beyond the curve.
-
-        This is so where the interval was extended to include a fit by another method.
-        """
+        """Whether an end, extended to include another fit, lies where the curve is above the limit, or beyond
+        it."""
         return bool((self.root_at(np.array([self.low, self.high])) ** 2 > limit + 2 * _CLOSE).any())
 
 
 def best_of(objective: Objective, parameters: Sequence[FitParameter], starts: Sequence[Array]) -> Fit:
-    """The fit with the lowest cost from several starts; starts that cannot be solved are skipped.
-
-    Raises FitError if no start leads to a fit.
-    """
+    """The fit with the lowest cost from the starts that can be solved; FitError if none leads to a fit."""
     fits = []
     for start in starts:
         started = [p.in_logs().started_at(float(t)) for p, t in zip(parameters, start, strict=True)]
@@ -97,10 +89,9 @@ def profile_likelihood(
     """Profile likelihood of parameter `index`, followed outwards from the best fit to its bounds.
 
     objective : residuals in standard deviations, so that its cost is chi-square
-    scale : the deviance is divided by it (1, or chi-square per degree of freedom where the data scatter more
-        than their stated noise)
-    threshold : deviance at the ends of the interval; the 95 % quantile of chi-square with one degree of
-        freedom, or `threshold_95` where the noise may be larger than stated
+    scale : the deviance is divided by it (chi-square per degree of freedom where the data scatter more than
+        stated)
+    threshold : deviance at the ends; the 95 % quantile of chi-square, or `threshold_95`
 
     Source: Venzon and Moolgavkar 1988, Appl. Stat. 37:87; Raue et al. 2009, Bioinformatics 25:1923.
     """
@@ -149,11 +140,8 @@ class Side:
 
 def walk(at: Held, start: Point, grid: Array, threshold: float) -> Side:
     """Follow the deviance from the best fit along the grid (n,) until it exceeds the threshold, then locate
-    the crossing.
-
-    at : (x, a theta nearby) -> (deviance, theta) with the quantity held at x; infinite where no parameters
-        within their bounds give x, at which the walk ends
-    """
+    the crossing; at : (x, a theta nearby) -> (deviance, theta) with the quantity held at x, infinite, where
+    the walk ends, if no parameters within their bounds give x"""
     points: list[Point] = []
     inside = start
     for x in grid.tolist():
@@ -170,8 +158,7 @@ def walk(at: Held, start: Point, grid: Array, threshold: float) -> Side:
 
 
 def _crossing(at: Held, inside: Point, outside: Point, threshold: float) -> list[Point]:
-    """Points up to that where the deviance reaches the threshold, by a bracketed secant search: the
-    deviance's root is nearly linear."""
+    """Points up to where the deviance reaches the threshold, by secants of its nearly linear root."""
     found: list[Point] = []
     for _ in range(12):
         low, high = (np.sqrt(max(point[1], 0.0)) for point in (inside, outside))

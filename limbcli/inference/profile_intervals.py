@@ -15,10 +15,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
-from limbcli.inference.emulator import Emulator
 from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
+from limbcli.inference.surrogate import Emulator
 from limbcli.inference.two_step_fit import CurveMatch, search_parameters
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
@@ -44,16 +44,12 @@ class Stiffness:
 
     @property
     def force_deviation(self) -> float:
-        """Standard deviation of ln force due to c and the mesh together, where all forces are proportional to
-        c."""
+        """Standard deviation of ln force due to c and the mesh, where all forces are proportional to c."""
         return float(np.hypot(self.log_deviation, self.gain_deviation))
 
     def nuisances(self) -> list[tuple[FitParameter, float]]:
-        """Nuisance parameters that scale the forces, each with the standard deviation of its logarithm.
-
-        This is c, with the mesh error included in it; where layers have a fixed stiffness, c and then the
-        mesh's gain.
-        """
+        """Nuisance parameters that scale the forces, each with the standard deviation of its logarithm: c,
+        with the mesh error in it; where layers have a fixed stiffness, c and then the mesh's gain."""
         if self.share is None:
             return [_around("c", self.c, self.force_deviation)]
         return [_around("c", self.c, self.log_deviation), _around("gain", 1.0, self.gain_deviation)]
@@ -69,16 +65,14 @@ def force_intervals(
     match: CurveMatch, stiffness: Stiffness, theta: Array, *, free: Sequence[int] = (0, 1),
     max_solves: int = 12, shape_modes: Array | None = None, progress: Progress = SILENT,
 ) -> Intervals:  # fmt: skip
-    """Profile likelihoods of f_kappa and m (those in `free`), with c varying within its own and the mesh's
-    uncertainty.
+    """Profile likelihoods of f_kappa and m (those in `free`) about the fit's theta, with c varying within its
+    own and the mesh's uncertainty.
 
     Chi-square = sum (F_exp - F_sim)^2 / (sigma_F^2 + (dF/dd sigma_d)^2) + (ln c/c0)^2 / sigma^2, with the
-    slopes dF/dd of the fit. At most `max_solves` simulations are added to those of the curve. `best` of the
-    result is (c, the parameters in `free`), followed by the mesh's gain where layers have a fixed stiffness.
+    slopes dF/dd of the fit. At most `max_solves` simulations are added. `best` of the result is (c, the free
+    parameters), then the mesh's gain where layers have a fixed stiffness.
 
-    theta : (f_kappa, m) of the fit
-    shape_modes : (n_modes, n_knots) changes of ln force, one standard deviation each, due to the uncertainty
-        of the model's geometry
+    shape_modes : (n_modes, n_knots) changes of ln force, one standard deviation each, by uncertain geometry
     """
     problem = _ForceProblem(match, stiffness, theta, tuple(free), shape_modes)
     estimate = problem.starts()[0]

@@ -1,34 +1,102 @@
-"""Depth and wave speed of a site at given force from its simulated curves, with derivatives.
+"""Depth, wave speeds and layers of a site at given force from its simulated curves, with derivatives.
 
-Force is controlled and depth is the noisy reading, so the residual is a depth: the measured depth minus the
-depth at which the simulation reaches the measured force.
+Force is controlled and depth is the noisy reading, so the residual is a depth. A layer's border is a material
+line whose depth below the skin is simulated at the knots; a thickness lies between two borders.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import Prediction
-from limbcli.inference.site_layers import NO_LAYERS, LayerData
-from limbcli.model import Array
+from limbcli.model import Array, IntArray
+from limbcli.numbers.whitening import Whitener
+
+
+@dataclass(frozen=True, eq=False)
+class LayerData:
+    """Thickness readings.
+
+    force : (n,) N
+    layer : (n,) index of the layer, from 0 at the skin
+    thickness, covariance : (n,) mm and (n, n) mm^2
+    rest : (n_borders,) depths of the layers' lower borders below the skin before loading (mm)
+    """
+
+    force: Array
+    layer: IntArray
+    thickness: Array
+    covariance: Array
+    rest: Array
+
+    def __len__(self) -> int:
+        return len(self.force)
+
+    @cached_property
+    def _whiten(self) -> Whitener:
+        return Whitener.of(self.covariance)
+
+    def whitened(self, values: Array) -> Array:
+        """Values (n, ...) mm, whitened by the Cholesky factor of the covariance."""
+        return self._whiten(values) if len(self) else values
+
+    def without(self, gone: NDArray[np.bool_]) -> LayerData:
+        """The data without some readings: (n,) bool."""
+        keep = ~gone
+        return LayerData(
+            self.force[keep], self.layer[keep], self.thickness[keep],
+            self.covariance[np.ix_(keep, keep)], self.rest,
+        )  # fmt: skip
+
+    def predicted(
+        self, knots: Array, borders: Array, borders_by: Array, at: Array, at_by: Array
+    ) -> tuple[Array, Array]:
+        """Thickness (n,) mm and its derivatives (n, 2 + n_shape) by ln c, ln gain, ln shape.
+
+        borders : mm below the skin, of all borders at the second of the knots (mm, from 0), at the third,
+            ...; at : (n,) simulated depths of the readings' forces (mm); each with its derivatives
+        """
+        n, n_shape = len(self.rest), borders_by.shape[1]
+        if not len(self):
+            return np.zeros(0), np.zeros((0, 2 + n_shape))
+        depths = np.vstack([self.rest, borders.reshape(-1, n)])
+        depths_by = np.concatenate([np.zeros((1, n, n_shape)), borders_by.reshape(-1, n, n_shape)])
+        values, slopes = np.zeros((2, len(self), n + 1))
+        by_shape = np.zeros((len(self), n + 1, n_shape))
+        inside = np.clip(at, 0.0, knots[-1])
+        for j in range(n):
+            sample = pchip_sample(knots, depths[:, j], inside)
+            values[:, j + 1] = sample.values
+            slopes[:, j + 1] = np.where((at > 0.0) & (at < knots[-1]), sample.slopes, 0.0)
+            by_shape[:, j + 1] = sample.weights @ depths_by[:, j]
+        rows = np.arange(len(self))
+
+        def layer(table: Array) -> Array:
+            return np.asarray(table[rows, self.layer + 1] - table[rows, self.layer])
+
+        found = layer(slopes)[:, None] * at_by
+        found[:, 2:] += layer(by_shape)
+        return layer(values), found
+
+
+NO_LAYERS = LayerData(np.zeros(0), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros((0, 0)), np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
 class SiteMeasurement:
-    """Measurement of one site, and the depths of its simulated levels.
+    """Measurement of one site or state, and the depths of its simulated levels, `knots` (n_knots,) mm,
+    increasing.
 
-    knots : (n_knots,) depths of the simulated levels (mm), increasing
-    force, depth : (n,) levels past first touch
-    speed_force, log_speed, speed_deviation : (n_speeds,) force (N), ln speed and its standard deviation,
-        first touch included
-    force_deviation, depth_deviation : one standard deviation each
+    force, depth : (n,) levels past first touch, with one standard deviation each
+    speed_force, log_speed, speed_deviation : (n_speeds,) force (N), ln speed and its deviation, first touch
+        included
     gain_deviation : relative standard deviation of the simulated force (mesh, element)
-    layers : thickness of the layers at given force
     """
 
     name: str
@@ -44,15 +112,12 @@ class SiteMeasurement:
     layers: LayerData = NO_LAYERS
 
     def weights_at(self, stiffness: Array) -> Array:
-        """Standard deviation (n,) of depth at given force (mm), for a curve with stiffness (n,) N/mm.
-
-        sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2)
-        """
+        """sqrt(sigma_d^2 + (sigma_F / (dF/dd))^2) (n,): deviation of depth at given force, mm; stiffness :
+        N/mm"""
         return np.sqrt(self.depth_deviation**2 + (self.force_deviation / stiffness) ** 2)
 
     def without(self, levels: NDArray[np.bool_]) -> SiteMeasurement:
-        """The measurement without some force levels ((n,) bool) and without the speeds and layers at their
-        forces."""
+        """The measurement without some force levels ((n,) bool) and the speeds and layers at their forces."""
         speeds = ~np.isin(self.speed_force, self.force[levels])
         return replace(
             self, force=self.force[~levels], depth=self.depth[~levels],
@@ -86,11 +151,10 @@ def predict_site(
 ) -> SitePrediction:  # fmt: skip
     """Prediction of a site's measurement from its curve simulated with this shape.
 
-    answer : forces at the knots (N); then speeds there (m/s), which may be missing if the data have none;
-        then, where the data have layers, the depths below the skin (mm) of all layer borders at the first
-        knot, at the second, ...; for c_ratio 1 and gain 1
-    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1; the speed is sqrt(c / (2 rho)), except for
-        laws with fibres
+    answer : forces at the knots (N); then speeds there (m/s), unless the data have none; then, where the data
+        have layers, the depths below the skin (mm) of all borders at the first knot, ...; for c_ratio 1 and
+        gain 1
+    log_speed_0 : ln of the speed in unloaded tissue at c_ratio 1, sqrt(c / (2 rho)) but for laws with fibres
 
     `stiffness` (n,) of the result is dF/dd at the forces (N/mm).
     """
@@ -129,8 +193,7 @@ def _value_and_slopes(log_speed_0: RestSpeed, shape: Array) -> tuple[float, Arra
 
 
 def rest_speed_by_c(log_speed_0: RestSpeed) -> Callable[[Array], tuple[float, Array]]:
-    """ln of the speed in unloaded tissue as a function of (c / c0, shape...): the speed grows with the root
-    of c."""
+    """ln of the speed in unloaded tissue, which grows with the root of c, by (c / c0, shape...)."""
 
     def at(place: Array) -> tuple[float, Array]:
         known, slopes = _value_and_slopes(log_speed_0, place[1:])

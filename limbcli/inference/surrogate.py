@@ -14,11 +14,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from limbcli.model import Array
+from limbcli.inference.prediction import Prediction, SolvedPoints
+from limbcli.model import Array, IntArray
 from limbcli.numbers.compiled import njit
 
 _LENGTHS = (0.5, 0.9, 1.6, 2.8, 5.0)  # candidate length scales in ln theta
-_LARGEST_LOG = 50.0  # upper limit of ln of a ratio to the largest solved value, against overflow
+_LARGEST_LOG = 50.0  # upper limit of logarithms, against overflow
 _NUGGET = 1e-9  # added to the covariance's diagonal, relative to it
 _SAME = 1e-3  # two points closer than this in ln theta coincide
 
@@ -34,12 +35,9 @@ class Node:
 
 @dataclass(frozen=True, eq=False)
 class Coordinates:
-    """x = ln theta -> coordinates in which the surrogate is stationary, each with shift 0 or 1.
-
-    They are (1 + shift) ln(theta / largest + shift): ln theta without a shift, and with one about linear in
-    theta where theta is not small. Forces grow as stretch^m, so that their logarithm is about linear in m.
-
-    largest (p,) : ln of each parameter's largest solved value; shift (p,)
+    """x = ln theta -> coordinates in which the surrogate is stationary, (1 + shift) ln(theta / largest +
+    shift), shift 0 or 1: ln theta, or about linear in theta where it is not small. Forces grow as stretch^m,
+    so that their logarithm is about linear in m. largest (p,) : ln of each parameter's largest solved value
     """
 
     largest: Array
@@ -53,11 +51,9 @@ class Coordinates:
 
 
 class Surrogate:
-    """ln theta (p,) -> ln value (q,), with derivative and standard deviation.
-
-    Squared-exponential kernel in ln theta over a linear trend (universal kriging with derivatives); the
-    length scales maximise the likelihood over a small grid, and so does the choice of each parameter's
-    coordinate (`Coordinates`).
+    """ln theta (p,) -> ln value (q,), with derivative and standard deviation: universal kriging with
+    derivatives, of a squared-exponential kernel over a linear trend. Length scales and each parameter's
+    coordinate (`Coordinates`) maximise the likelihood over a small grid.
 
     Source: Rasmussen and Williams 2006, Gaussian Processes for Machine Learning, sections 2.7, 9.4.
     """
@@ -210,3 +206,61 @@ def _predict(x, nodes, lengths, graded, weights, trend, value, slope):  # type: 
                 for j in range(p):
                     slope[c, j] -= scaled[j] * scaled[k] * part
             row += 1
+
+
+_LEAST = 1e-12  # lower limit of a value before its logarithm is taken
+
+
+class Emulator:
+    """The surrogate with the interface of its curve, and the standard deviation of each value; `refresh`
+    after each solve. Outputs without derivatives (wave speeds) are interpolated without them."""
+
+    def __init__(self, curve: SolvedPoints):
+        self.curve = curve
+        self.refresh()
+
+    def refresh(self) -> None:
+        solved = self.curve.solved
+        n = len(solved[0][1].values)
+        graded = np.array([_graded(answer) for _, answer in solved]).mean(axis=0) > 0.0
+        self._groups = []
+        for rows, use in ((np.flatnonzero(graded), True), (np.flatnonzero(~graded), False)):
+            if len(rows):
+                nodes = [_node(theta, answer, rows, use) for theta, answer in solved]
+                self._groups.append((rows, Surrogate(nodes)))
+        self._n = n
+
+    def __call__(self, theta: Array, wrt: Sequence[int] = ()) -> Prediction:
+        values, jacobian = np.empty(self._n), np.empty((self._n, len(theta)))
+        x = np.log(theta)
+        for rows, surrogate in self._groups:
+            y, slope = surrogate(x)
+            values[rows] = np.exp(np.minimum(y, _LARGEST_LOG))
+            jacobian[rows] = values[rows, None] * slope / theta
+        return Prediction(values, jacobian)
+
+    def deviation(self, theta: Array) -> Array:
+        """Standard deviation of the values' logarithms: (n,)."""
+        deviation = np.empty(self._n)
+        for rows, surrogate in self._groups:
+            deviation[rows] = surrogate.deviation(np.log(theta))
+        return deviation
+
+    def distance(self, theta: Array) -> float:
+        """Distance to the nearest solved point: the largest change of a parameter's logarithm."""
+        return min(float(np.max(np.abs(np.log(theta / other)))) for other, _ in self.curve.solved)
+
+
+def _graded(answer: Prediction) -> Array:
+    """Outputs that have all their derivatives: (n,) bool."""
+    if answer.jacobian is None:
+        return np.zeros(len(answer.values), dtype=bool)
+    return np.asarray(np.isfinite(answer.jacobian).all(axis=1))
+
+
+def _node(theta: Array, answer: Prediction, rows: IntArray, graded: bool) -> Node:
+    values = np.maximum(answer.values[rows], _LEAST)
+    slope = None
+    if graded and answer.jacobian is not None and np.isfinite(answer.jacobian[rows]).all():
+        slope = answer.jacobian[rows] * theta / values[:, None]
+    return Node(np.log(theta), np.log(values), slope)

@@ -11,14 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import FitError
-from limbcli.inference.emulator import Emulator
 from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.identifiability import force_variance
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
 from limbcli.inference.monotone_interpolation import Sample, pchip_sample
 from limbcli.inference.parameter import F_KAPPA_BOUNDS, M_BOUNDS, FitParameter
-from limbcli.inference.prediction import Prediction, SolvedPoints, sampled
-from limbcli.inference.residual import coefficient_of_determination, force_residual, root_mean_square
+from limbcli.inference.prediction import (
+    Prediction,
+    SolvedPoints,
+    coefficient_of_determination,
+    force_residual,
+    root_mean_square,
+    sampled,
+)
+from limbcli.inference.surrogate import Emulator
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
@@ -109,12 +115,10 @@ def two_step(
 ) -> tuple[FittedStep, FittedStep]:  # fmt: skip
     """Identify (f_kappa, m) from a force-depth curve, with c held fixed.
 
-    Minimises the sum of squared F_exp - F_sim at the measured depths, with the simulated curve interpolated
-    by PCHIP: first over f_kappa from 100 with m = 2 (Mooney-Rivlin type), then over both from that result
-    (Ogden type), each parameter normalised by its start value.
-
-    Each iteration first tries the minimum on a surrogate of the solved points, which saves simulations; the
-    end point must pass the same tests as without.
+    Minimises the sum of squared F_exp - F_sim at the measured depths: first over f_kappa from 100 with m = 2
+    (Mooney-Rivlin type), then over both from that result (Ogden type), each normalised by its start value.
+    The minimum on a surrogate of the solved points is tried first; the end point passes the same tests as
+    without.
 
     Raises FitError with fewer than three loaded levels, or if a step does not converge.
     """
@@ -154,10 +158,8 @@ def _step(name: str, free: tuple[int, ...], start: Array, match: CurveMatch, **s
 def _guide(
     parameters: Sequence[FitParameter], free: tuple[int, ...], start: Array, match: CurveMatch
 ) -> Guide:
-    """Minimum of the same objective on a surrogate of all points solved so far, within one step.
-
-    Far from the solved points a surrogate has minima of its own.
-    """
+    """Minimum of the objective on a surrogate of the solved points; within one step, as far off it has
+    others."""
 
     def guess(theta: Array) -> Array:
         predict = sampled(Emulator(match.curve), match.knots, match.data.depth, free=free, fixed=start)

@@ -33,8 +33,7 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import checked, raise_errors
 from limbcli.files.atomic import atomic_set, sha256
 from limbcli.files.plain_text import text_cell
-from limbcli.inference.layered_family import LayeredFamily, layered_family
-from limbcli.inference.layered_solves import FORCE
+from limbcli.inference.layered_family import FORCE, LayeredFamily, layered_family
 from limbcli.progress import SILENT, Progress
 from limbcli.results import StageResult, check_seal, plain, provenance, record_of, write_sealed
 

@@ -18,7 +18,6 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.config import one_blas_thread
-from limbcli.diagnosis.diagnosed_force import diagnosed_force
 from limbcli.diagnosis.drainage import DrainageSolver
 from limbcli.diagnosis.explanations import decisions, verdict
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
@@ -33,6 +32,7 @@ from limbcli.diagnosis.prepare import STAGE, Prepared, WorkingMesh, prepare, tur
 from limbcli.diagnosis.written_model import write_diagnosed
 from limbcli.diagnosis.written_result import (
     candidates_picture,
+    diagnosed_force,
     diagnosis_json,
     gap_picture,
     sizes_of,

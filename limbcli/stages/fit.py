@@ -24,7 +24,7 @@ from limbcli.fitting.exports import write_mat_file
 from limbcli.fitting.fitted_cycle import through_cycle, write_cycle
 from limbcli.fitting.force_curves import FileCurve, ReferenceCurve
 from limbcli.fitting.geometry import site_geometry_uncertainty, write_geometry
-from limbcli.fitting.kept_solves import KeptSolves
+from limbcli.fitting.kept_solves import CheckSolver, KeptSolves, checked_levels
 from limbcli.fitting.layer_comparison import write_layers
 from limbcli.fitting.model_checks import (
     ChangedForces,
@@ -38,7 +38,6 @@ from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.options import FitOptions, check_choice, check_numbers
 from limbcli.fitting.predicted_speeds import write_speeds
 from limbcli.fitting.result import write_agreement, write_result, write_tissue_force, write_widening
-from limbcli.fitting.solve_again import CheckSolver, checked_levels
 from limbcli.fitting.stiffness_map import tissue_map, write_tissue_map
 from limbcli.fitting.table import NAMES, Identified
 from limbcli.inference.adaptive import Intervals
@@ -157,9 +156,8 @@ def _fit_site(
             if wide is not None:
                 intervals = (no_narrower(wide[0], of_noise[0]), no_narrower(wide[1], of_noise[1]))
         identified = Identified(
-            **vars(match), stiffness=known[-1], c_source=c_source, start=START, steps=steps,
-            intervals=intervals, cold_seconds=cold, why_no_intervals=why_none,
-            modes=modes if len(modes) else None, gains=gains,
+            **vars(match), known=known, c_source=c_source, start=START, steps=steps, intervals=intervals,
+            cold_seconds=cold, why_no_intervals=why_none, modes=modes if len(modes) else None,
         )  # fmt: skip
         simulation = _write_fitted_run(fitted, solver, levels_there, writer, options, progress)
         write_result(identified, fitted, simulation, writer, site, seconds=time.perf_counter() - clock)
@@ -201,11 +199,8 @@ def _intervals(
     match: CurveMatch, known: Sequence[Stiffness], steps: Sequence[FittedStep], *, modes: Array | None = None,
     max_solves: int, progress: Progress,
 ) -> tuple[Intervals, Intervals]:  # fmt: skip
-    """Profile-likelihood intervals of both steps.
-
-    known : c and its uncertainty at each step; max_solves : greatest number of additional simulations
-    modes : changes of ln force by uncertain geometry and boundaries, to be included; None without them
-    """
+    """Profile-likelihood intervals of both steps; known : c and its uncertainty at each, modes : changes of
+    ln force by uncertain geometry and boundaries, to be included"""
     match.curve.expect(max_solves + _FIRST_SOLVES)
     full = force_intervals(
         match, known[-1], steps[-1].theta, max_solves=max_solves, shape_modes=modes, progress=progress
@@ -238,10 +233,8 @@ def _tissue_c(
 
 
 def built_model(case: Case, site: Site, out: Path, writer: StageWriter, *, label: str = "") -> LimbModel:
-    """Read the model that build-feb wrote for this site, after checking that its inputs are unchanged.
-
-    label : prefix for the recorded names of the inputs and for warnings about the levels, where several
-        sites are used
+    """Read the model that build-feb wrote for this site, after checking that its inputs are unchanged; label
+    : names the site in what is recorded, where several are used
     """
     prefix = f"{label}/" if label else ""
     built = Chain(case, out).result("build-feb", site=site.name)
@@ -278,8 +271,7 @@ def _first_solve(
     solver: Solver, model: LimbModel, c: float | ElementMap, kept: KeptSolves, options: FitOptions,
     progress: Progress,
 ) -> tuple[SolvedPoints, ReferenceCurve | FileCurve, float]:  # fmt: skip
-    """The force curve with its cache, the curve itself, and the time of the first (cold) solve (s); NaN if an
-    earlier fit kept it."""
+    """The force curve with its cache, the curve itself, and the time of the first solve (s; NaN if kept)."""
     clock = time.perf_counter()
     if solver.name == "reference":
         exact = ReferenceCurve(model, c=c, kept=kept, progress=progress)
@@ -297,8 +289,7 @@ def _first_solve(
 
 
 def _share_of_c(share_of_c: Callable[[Array], Array], theta: Array, writer: StageWriter) -> Array | None:
-    """d ln force / d ln c at the levels of a model with layers of fixed stiffness; None (full propagation,
-    with a warning) if it cannot be computed."""
+    """d ln force / d ln c at the levels beside fixed layers; None, with a warning, if unknown."""
     try:
         share = share_of_c(theta)
     except SolveError as error:

@@ -22,8 +22,8 @@ from limbcli.case import Case, Site
 from limbcli.effects.tissue import fibre_direction
 from limbcli.errors import CaseError, FitError, MeasurementError, SolveError
 from limbcli.fitting.exports import write_mat_file
-from limbcli.fitting.fibre_rest_speed import rest_speed
-from limbcli.fitting.fibre_uncertainty import (
+from limbcli.fitting.fibres import (
+    rest_speed,
     stated_deviation,
     write_direction_uncertainty,
     write_orientations,
@@ -45,8 +45,7 @@ from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.joint_fit import JointProblem, JointTask, joint_fit
 from limbcli.inference.prediction import SolvedPoints
-from limbcli.inference.site_depth import RestSpeed, SiteMeasurement
-from limbcli.inference.site_layers import NO_LAYERS, LayerData
+from limbcli.inference.site_depth import NO_LAYERS, LayerData, RestSpeed, SiteMeasurement
 from limbcli.measurement.indentation import Levels
 from limbcli.measurement.speed_noise import mean_speed_deviation
 from limbcli.model import Array, LimbModel, Value
@@ -199,10 +198,8 @@ def _start_c(measured: Sequence[Measured], options: FitOptions) -> float:
 def _curves(
     measured: Sequence[Measured], law: FitLaw, c0: float, curves_open: ExitStack, progress: Progress
 ) -> list[LawCurve]:
-    """For each site a curve of forces and speeds by the law, at the common reference value `c0` of c.
-
-    With layers of fixed stiffness, c / c0 is one more parameter of the curve.
-    """
+    """For each site a curve of forces and speeds by the law, at the common c0, or, with layers of fixed
+    stiffness, with c / c0 as one more parameter."""
     curves = []
     for each in measured:
         own = law.along(fibre_direction(each.model))
@@ -233,8 +230,12 @@ def _identify(
         for place in first_shapes(curve.law):
             memory(place, tuple(range(len(place))))
         curves.append(memory)
-        data.append(site_data(each, curve.depths, options.gain_deviation, speeds=speeds))
-    prior = None if any(len(each.log_speed) for each in data) else _c_prior(measured, options)
+        given = each.studied_error if options.gain_deviation is None else options.gain_deviation
+        gain, layers = gain_deviation(each.model, given), _layer_data(each)
+        data.append(site_data(each.site, each.levels, curve.depths, gain, speeds=speeds, layers=layers))
+    prior = None  # standard deviation of ln c if no site has speeds: that of the value given by hand
+    if not any(len(each.log_speed) for each in data):
+        prior = initial_stiffness(measured[0].levels, measured[0].site, options)[0].log_deviation
     beside = [curve.law.has_ratio for curve in exact]
     task = JointTask(
         curves=curves, data=data, shape=law.shape, c0=c0, log_speed_0=log_speed_0, c_deviation=prior,
@@ -299,22 +300,20 @@ def _check_contact(
         )  # fmt: skip
 
 
-def site_data(measured: Measured, knots: Array, given: float | None, *, speeds: bool) -> SiteMeasurement:
-    """The loading levels of a site with their stated noise.
-
-    given : relative numerical error of the force, given by hand
-    """
-    levels, noise = measured.levels, measured.site.noise
+def site_data(
+    site: Site, levels: Levels, knots: Array, gain: float, *, speeds: bool, layers: LayerData = NO_LAYERS
+) -> SiteMeasurement:
+    """The loading levels of a site with their stated noise; gain : relative numerical error of the force."""
+    noise = site.noise
     rows = levels.loading & (levels.depth > 0.0) & (levels.force > 0.0)
     seen = levels.loading & np.isfinite(levels.swe_mean_m_per_s) if speeds else np.zeros(len(levels), bool)
-    given = measured.studied_error if given is None else given
-    deviation = mean_speed_deviation(levels, speed_noise(measured.site))[seen]
+    deviation = mean_speed_deviation(levels, speed_noise(site))[seen]
     return SiteMeasurement(
-        name=measured.site.name, knots=knots, force=levels.force[rows], depth=levels.depth[rows],
+        name=site.name, knots=knots, force=levels.force[rows], depth=levels.depth[rows],
         force_deviation=noise.force, depth_deviation=noise.depth,
         speed_force=np.maximum(levels.force[seen], 0.0), log_speed=np.log(levels.swe_mean_m_per_s[seen]),
         speed_deviation=np.maximum(deviation, 1e-4),
-        gain_deviation=gain_deviation(measured.model, given), layers=_layer_data(measured),
+        gain_deviation=gain, layers=layers,
     )  # fmt: skip
 
 
@@ -348,9 +347,3 @@ def check_noise(site: Site, *, speeds: bool) -> None:
             where="case.toml, [site.noise]",
             fix="state one standard deviation each, or fit with --objective force",
         )
-
-
-def _c_prior(measured: Sequence[Measured], options: FitOptions) -> float:
-    """Prior standard deviation of ln c if no site has speeds: that of the value given by hand."""
-    each = measured[0]
-    return initial_stiffness(each.levels, each.site, options)[0].log_deviation

@@ -16,26 +16,26 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.fitting.exports import write_mat_file
-from limbcli.fitting.fitted_states import FittedStates
 from limbcli.fitting.geometry import NOT_ALLOWED_FOR
 from limbcli.fitting.laws import FitLaw, first_shapes, law_named
+from limbcli.fitting.least_stiffness import FittedStates
 from limbcli.fitting.numerical_error import gain_deviation, studied_error
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import StretchPlan, stretch_plan
 from limbcli.fitting.states_result import write_states
 from limbcli.inference.adaptive import Intervals
+from limbcli.inference.joint_fit import JointProblem, JointTask, joint_fit
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states_fit import StatesProblem, StatesTask, states_fit
 from limbcli.measurement.shear_modulus import shear_modulus_from_wave_speed
-from limbcli.model import Array, LimbModel
+from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.site_layers import held_layers
 from limbcli.site_model.site_states import MeasuredState, states_of
 from limbcli.stages.fit import FitOptions, built_model, check_numbers
-from limbcli.stages.fit_joint import Measured, check_noise, site_data
+from limbcli.stages.fit_joint import check_noise, site_data
 
 STAGE = "fit-states"
 _MOST_ROUNDS = 3  # usual number of rounds of simulations for the intervals
@@ -99,17 +99,20 @@ def _fit_site(
         writer.warnings.append(NOT_ALLOWED_FOR)
     given = options.gain_deviation
     studied = None if given is not None else studied_error(case, site, out, writer)
+    gain = gain_deviation(model, given, studied=studied)
     c0 = _start_c(site, measured, plan)
     simulated = law.beside_layers() if beside else law
     curve = StateCurve(
         model, simulated, plan.ways, knots(measured), c=c0, density_kg_per_m3=site.density_kg_per_m3,
         progress=progress,
     )  # fmt: skip
+    data = [
+        replace(site_data(site, each.levels, curve.depths, gain, speeds=True), name=each.state.name)
+        for each in measured
+    ]
     try:
         problem, found = identify(
-            curve, law, plan, [state_data(site, model, each, curve.depths) for each in measured],
-            gain=gain_deviation(model, given, studied=studied), max_rounds=options.most_solves(_MOST_ROUNDS),
-            progress=progress,
+            curve, law, plan, data, max_rounds=options.most_solves(_MOST_ROUNDS), progress=progress
         )  # fmt: skip
         fit = FittedStates(site=site, law=law, plan=plan, curve=curve, problem=problem, found=found)
         write_states(fit, model, writer)
@@ -117,35 +120,27 @@ def _fit_site(
         curve.close()
 
 
-def state_data(site: Site, model: LimbModel, each: MeasuredState, depths: Array) -> SiteMeasurement:
-    """A state's loading levels with their stated noise; depths : of the simulated levels (mm)."""
-    taken = Measured(site=site, model=model, levels=each.levels, c=0.0)
-    return replace(site_data(taken, depths, None, speeds=True), name=each.state.name)
-
-
 def identify(
-    curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, gain: float,
-    max_rounds: int, progress: Progress = SILENT,
-) -> tuple[StatesProblem, Intervals]:  # fmt: skip
+    curve: StateCurve, law: FitLaw, plan: StretchPlan, data: Sequence[SiteMeasurement], *, max_rounds: int,
+    progress: Progress = SILENT,
+) -> tuple[JointProblem, Intervals]:  # fmt: skip
     """Run the first simulations, then the fit with its profile likelihoods.
 
     curve : of `law`, or of `law.beside_layers()` in a model with layers of fixed stiffness
     """
     memory = SolvedPoints(curve)
     first_simulations(memory, curve.law, plan, progress=progress)
-    task = StatesTask(
-        curve=memory, even_speed=curve.even_speed, data=data, offsets=plan.offsets, factors=plan.factors,
-        shape=law.shape, stretches=plan.parameters, c0=curve.c, gain_deviation=gain,
-        beside_layers=curve.law.has_ratio,
+    task = JointTask(
+        [memory] * len(data), data, law.shape, curve.c, beside_layers=[curve.law.has_ratio] * len(data),
+        states=plan, even_speed=curve.even_speed,
     )  # fmt: skip
-    return states_fit(task, starts(curve.c, law, plan), max_rounds=max_rounds, progress=progress)
+    return joint_fit(task, starts(curve.c, law, plan), max_solves=max_rounds, progress=progress)
 
 
 def first_simulations(
     memory: SolvedPoints, law: FitLaw, plan: StretchPlan, *, progress: Progress = SILENT
 ) -> None:
-    """Simulate the law's start shapes at the middle of the states' stretches, and the first of the shapes at
-    points around that middle."""
+    """Simulate the law's start shapes at the middle of the stretches, and the first at points around it."""
     shapes = first_shapes(law)
     middle, places = plan.first_places()
     thetas = [*(np.r_[shape, middle] for shape in shapes), *(np.r_[shapes[0], place] for place in places)]
@@ -155,10 +150,7 @@ def first_simulations(
 
 
 def knots(measured: Sequence[MeasuredState]) -> list[float]:
-    """Simulated depths (mm), up to slightly beyond the deepest reading of all states.
-
-    Raises MeasurementError if no reading is deeper than 1 mm.
-    """
+    """Simulated depths (mm) to beyond the deepest reading; MeasurementError if none is deeper than 1 mm."""
     deepest = max(float(np.max(each.levels.depth[each.levels.loading])) for each in measured)
     if deepest < 2 * _LEAST_DEPTH:
         raise MeasurementError(
@@ -189,8 +181,7 @@ def _start_c(site: Site, measured: Sequence[MeasuredState], plan: StretchPlan) -
 
 
 def starts(c0: float, law: FitLaw, plan: StretchPlan) -> list[Array]:
-    """Initial guesses: every start shape with the start stretches, and the last shape with each stretch
-    changed by a factor of 0.88 and 1.14."""
+    """Initial guesses: every start shape, and the last one with each stretch times 0.88 and 1.14."""
     shapes, values = first_shapes(law), np.array([each.start for each in plan.parameters])
     found = [np.r_[c0, shape, values] for shape in shapes]
     for j, parameter in enumerate(plan.parameters):

@@ -20,7 +20,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from limbcli.errors import SolveError
-from limbcli.inference import layered_solves as solves
+from limbcli.inference import layered_family as solves
 from tests.benchmarks.layered_member import STRAINS, Answer, Member, solve_member
 from tests.benchmarks.layered_slab import CellCounts
 

@@ -71,7 +71,7 @@ def fitted(truth: dict, folder: Path) -> tuple[float, float, float, int, LinearE
         model = SiteForwardModel([prepared.curves])
         model.settle_noise()
         found = model.fit((), {})
-        off = model.predictions.whiten(model.data.y - found.prediction)
+        off = model.whiten(model.data.y - found.prediction)
         evidence = resembled(model, found)
     finally:
         prepared.simulations.close()

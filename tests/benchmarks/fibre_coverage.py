@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 from limbcli.feb.settings import schedule
-from limbcli.fitting.fibre_rest_speed import rest_speed
+from limbcli.fitting.fibres import rest_speed
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS, first_shapes
 from limbcli.inference.joint_fit import JointTask, joint_fit

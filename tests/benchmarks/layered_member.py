@@ -24,7 +24,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.feb.settings import Schedule, robust_contact, robust_step, schedule
-from limbcli.inference.layered_solves import SKIN_RATIO
+from limbcli.inference.layered_family import SKIN_RATIO
 from limbcli.materials.ogden import ogden_type
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import Array, IntArray, LimbModel, LogRecord

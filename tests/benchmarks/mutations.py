@@ -121,7 +121,7 @@ SLIPS = (
          "force = force - probe_mass_kg", "force = force + probe_mass_kg", HOLDS),
     Slip("tare not taken off", "measurement/holds.py",
          "force = trace.force - float(np.nanmean(trace.force[in_air]))", "force = trace.force", HOLDS),
-    Slip("residual's sign against its derivative", "inference/residual.py",
+    Slip("residual's sign against its derivative", "inference/prediction.py",
          "None if jacobian is None else -jacobian", "jacobian",
          "tests/inference/test_residual.py"),
     Slip("threshold of 90 % for 95 %", "numbers/interval_limits.py",

@@ -28,11 +28,11 @@ from limbcli.fitting.laws import LAWS
 from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
-from limbcli.inference.derived import SearchRange, derived_interval, lowest_on_grid
+from limbcli.inference.derived import derived_interval, lowest_on_grid
+from limbcli.inference.joint_fit import JointTask, joint_fit
 from limbcli.inference.monotone_interpolation import pchip_inverse, pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states_fit import StatesTask, states_fit
 from limbcli.model.npz_file import load_model
 from limbcli.numbers.units import mpa_from_kpa
 from limbcli.site_model.indentation_model import indentation_model
@@ -87,21 +87,20 @@ def one_seed(seed, memory, curve, plan, levels, forces, truth, gain):
         loaded = (depth > 0) & (force > 0)
         several.append(SiteMeasurement(
             str(k), curve.depths, force[loaded], depth[loaded], FORCE_SD, DEPTH_SD, np.maximum(force, 0.0),
-            np.log(speed), np.full(len(speed), SPEED_SD),
+            np.log(speed), np.full(len(speed), SPEED_SD), gain,
         ))  # fmt: skip
     law, clock, before = LAWS["ogden"], time.process_time(), memory.n_solves
-    task = StatesTask(
-        memory, curve.even_speed, several, plan.offsets, plan.factors, law.shape, plan.parameters, truth["c"],
-        gain,
-    )  # fmt: skip
-    problem, found = states_fit(task, starts(truth["c"], law, plan))
+    task = JointTask(
+        [memory] * len(several), several, law.shape, truth["c"], states=plan, even_speed=curve.even_speed
+    )
+    problem, found = joint_fit(task, starts(truth["c"], law, plan), max_solves=3)
 
     def lowest(theta):
         speeds = curve.even_speeds(theta[1:3], np.exp(GRID)[:, None])
         return lowest_on_grid(GRID, speeds) + float(np.log(theta[3]))
 
     least = derived_interval(
-        problem.objective(), problem.parameters, found.fit, lowest, SearchRange(-1.5, 0.7, 0.04),
+        problem.objective(), problem.parameters, found.fit, lowest, -1.5, 0.7, 0.04,
         scale=found.scale, threshold=found.threshold,
     )  # fmt: skip
     row = {"n_solves": memory.n_solves - before, "cpu_s": time.process_time() - clock}

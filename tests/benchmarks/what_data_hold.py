@@ -43,7 +43,7 @@ from limbcli.diagnosis.explanations.forward_model import Fitted
 from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.diagnosis.prepare import Prepared, WorkingMesh, _Preparation, prepare
+from limbcli.diagnosis.prepare import Prepared, WorkingMesh, prepare
 from limbcli.effects import EFFECTS
 from limbcli.effects.curves import force_at
 from limbcli.effects.effect import Effect, Theta, point_name
@@ -289,7 +289,7 @@ def reduced(
     parts = [part.covariance for part in data.noise.parts if judged or part.name.startswith("measurement")]
     covariance = np.asarray(sum(parts))
     if not judged:  # what is assumed of other causes in a hold is not noise of its readings
-        held = forward_model.predictions.sites[0].site.seen.held
+        held = forward_model.sites[0].site.seen.held
         at = np.flatnonzero([channel == "hold" for channel in data.channel])
         if held is not None:
             covariance[at, at] -= held_forces.floors(held.windows)
@@ -325,14 +325,14 @@ def in_pixels(case: Case, prepared: Prepared, fitted: Fitted, out: Path) -> Site
         for name, low, high in (("lateral", usual.left, usual.right), ("depth", usual.top, usual.bottom))
     )
     options = replace(WorkingMesh(), size=prepared.size)
-    preparation = _Preparation(case, prepared.site, out, options, SILENT)
+    preparation = Prepared(case, prepared.site, out, options, SILENT)
     preparation.windows = PixelWindows(
         usual.left, usual.right, usual.top, usual.bottom, across, down, usual.smoothing, usual.elevation,
         whole_is_known=True, filtered=round(3 * across / usual.across),
     )  # fmt: skip
     preparation.work = preparation.work.with_name(f".pixels-{prepared.site.name}")
     known = prepared.curves
-    found = SiteCurves(known.site, preparation.simulations(), known.effects, penetration=known.penetration,
+    found = SiteCurves(known.site, preparation.simulated(), known.effects, penetration=known.penetration,
                        refused=known.refused)  # fmt: skip
     found.solve_nodes(list(known.nodes))
     found.changes.m = min(found.nodes, key=lambda m: abs(np.log(m / fitted.values["m"])))
@@ -351,7 +351,7 @@ def of_site(case: Case, site: Site, out: Path) -> Iterator[dict[str, Any]]:
         pixels = in_pixels(case, prepared, fitted, out)
         raw = RawReadings(prepared, fitted, pixels)
         for facts in forward_model.candidates:
-            effect = forward_model.predictions.effects[facts.name]
+            effect = forward_model.effects[facts.name]
             found = []
             for point in effect.grid:
                 with contextlib.suppress(LimbError):  # no channel shows it, or the law has no solution
@@ -373,13 +373,13 @@ def _line(
     forward_model: SiteForwardModel, fitted: Fitted, raw: RawReadings, effect: Effect, point: Theta
 ) -> dict[str, Any]:
     explanation, theta = (effect.name,), plausible(effect, point)
-    forward_model.predictions.check_channels(explanation)
+    forward_model.check_channels(explanation)
     x = [
         np.log(raw.c),
         np.log(raw.m),
-        *(theta[slot.name] for slot in forward_model.predictions.slots(explanation)),
+        *(theta[slot.name] for slot in forward_model.slots(explanation)),
     ]
-    change = forward_model.predictions.predict(np.array(x), _alone(effect, point)) - fitted.prediction
+    change = forward_model.predict(np.array(x), _alone(effect, point)) - fitted.prediction
     blocks = raw.blocks(change, effect, point)
     return {
         "point": point_name(point),

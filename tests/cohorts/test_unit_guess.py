@@ -11,8 +11,7 @@ import pytest
 from limbcli.cohorts.column_checks import checked_cohort
 from limbcli.cohorts.unit_guess import REACH
 from limbcli.errors.problems import Problem
-from limbcli.inference.layered_family import layered_family
-from limbcli.inference.layered_solves import CONVEXITY, HIGH, LOW
+from limbcli.inference.layered_family import CONVEXITY, HIGH, LOW, layered_family
 from tests.cohort_rows import FACE, people, written
 
 Row = dict[str, str]

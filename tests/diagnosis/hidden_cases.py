@@ -150,7 +150,7 @@ class Case:
 
     def diagnose(self, *curves: SiteCurves, propose: bool = True, max_effects: int = 2):
         bench = SiteForwardModel(curves or [self.curves(self.levels)])
-        if len(bench.predictions.sites) == 1:
+        if len(bench.sites) == 1:
             bench.turned = self._turned
         return diagnose(bench, seed=self.seed, propose=propose, max_effects=max_effects)
 

@@ -97,8 +97,8 @@ def test_two_effects_fit_no_worse_than_one_of_them():
 
     def deviance(explanation):
         fitted = bench.fit(explanation, {})
-        model, x = bench.predictions.model_of(fitted), bench.predictions.x_of(fitted)
-        return float(np.sum(bench.fits.off(x, model) ** 2))
+        model, x = bench.model_of(fitted), bench.x_of(fitted)
+        return float(np.sum(bench.off(x, model) ** 2))
 
     one = {name: deviance((name,)) for name in ("anisotropy", "preload", "contraction")}
     for other in ("preload", "contraction"):

@@ -76,15 +76,15 @@ def test_what_changes_each_time_has_a_size_for_each_measurement(rng):
     both = SiteForwardModel(
         [curves("a", measurement(rng, ACROSS), ACROSS), curves("b", measurement(rng, ALONG), ALONG)]
     )
-    assert [s.name for s in both.predictions.slots(("force-zero", "force-gain"))] == [
+    assert [s.name for s in both.slots(("force-zero", "force-gain"))] == [
         "force_zero_n@a", "force_zero_n@b", "force_gain",
     ]  # fmt: skip
     found = {"force-zero": {"force_zero_n@a": (0.8, 1.2), "force_zero_n@b": (-0.2, 0.2)}}
-    for each, ends in zip(both.predictions.sites, ((0.8, 1.2), (-0.2, 0.2)), strict=True):
+    for each, ends in zip(both.sites, ((0.8, 1.2), (-0.2, 0.2)), strict=True):
         reported = reported_sizes(sizes_of(both, each.site), found, 6.0)
         assert reported["force-zero"] == {"f0_n": pytest.approx(ends)}
     values = {"force_zero_n@a": 1.0, "force_zero_n@b": 2.0}
-    assert both.predictions.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
+    assert both.theta(values, ("force-zero",), 1) == {"force_zero_n": 2.0}
 
 
 @pytest.mark.slow

@@ -75,8 +75,8 @@ def bench(levels, layers, names=CANDIDATES) -> SiteForwardModel:
 
 def test_layers_stand_in_the_data_with_their_noise(rng):
     levels, layers = measured(rng)
-    with_layers = bench(levels, layers).predictions.site
-    without = bench(levels, None).predictions.site
+    with_layers = bench(levels, layers).site
+    without = bench(levels, None).site
     mine = np.array([row.channel == "layer" for row in with_layers.rows])
     assert mine.sum() == 2 * (len(levels) - 1)
     assert len(with_layers.rows) == len(without.rows) + mine.sum()
@@ -95,16 +95,14 @@ def test_layers_stand_in_the_data_with_their_noise(rng):
 def test_an_error_of_depth_moves_the_layers_as_the_noise_has_it(rng):
     levels, layers = measured(rng)
     the_bench = bench(levels, layers)
-    the_bench.predictions.sites[0].solve_nodes((4.0, 8.0))
+    the_bench.sites[0].solve_nodes((4.0, 8.0))
     x = np.log([0.0065, 4.0])
-    fat = np.array([row.channel == "layer" and row.part == 1 for row in the_bench.predictions.site.rows])
-    exact = the_bench.predictions.predict(x)[fat]
-    expected = np.array(
-        [row.level for row, is_fat in zip(the_bench.predictions.site.rows, fat, strict=True) if is_fat]
-    )
+    fat = np.array([row.channel == "layer" and row.part == 1 for row in the_bench.site.rows])
+    exact = the_bench.predict(x)[fat]
+    expected = np.array([row.level for row, is_fat in zip(the_bench.site.rows, fat, strict=True) if is_fat])
     thinning = 6.5 - exact
     assert np.all(np.diff(thinning) > -0.1)
-    slope = -the_bench.predictions.site.slope[fat]
+    slope = -the_bench.site.slope[fat]
     np.testing.assert_allclose(slope.mean(), thinning[-1] / levels.depth[expected[-1]], rtol=0.2)
 
 
@@ -124,8 +122,8 @@ def test_soft_fat_is_named_by_its_layers(rng, tmp_path):
     assert ("adipose-layer",) in found.confidence_set
     fitted = next(r.posterior.fitted for r in found.explanations if r.explanation == ("adipose-layer",))
     assert fitted.values["log_fat_softness"] == pytest.approx(0.9, abs=0.4)
-    gap_picture(found, [the_bench.predictions.site], tmp_path / "gap.png")
-    assert diagnosis_json(found, the_bench.predictions.site, the_bench)["channels"].count("layer") == 1
+    gap_picture(found, [the_bench.site], tmp_path / "gap.png")
+    assert diagnosis_json(found, the_bench.site, the_bench)["channels"].count("layer") == 1
 
 
 def test_without_layers_the_same_fat_is_not_seen(rng):
@@ -137,7 +135,7 @@ def test_without_layers_the_same_fat_is_not_seen(rng):
         the_bench = bench(levels, seen, names=("adipose-layer", "force-zero"))
         base = the_bench.fit((), {})
         fitted = the_bench.fit(("adipose-layer",), {})
-        left = [the_bench.predictions.whiten(the_bench.data.y - each.prediction) for each in (base, fitted)]
+        left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, fitted)]
         p[name] = float(left[0] @ left[0] - left[1] @ left[1])
     assert p["with"] > p["without"] + 9.0
 
@@ -188,19 +186,19 @@ def test_fat_in_a_finer_mesh_is_recovered_by_its_layers(layered_block, rng):
     the_bench = SiteForwardModel([SiteCurves(site, simulations, {"adipose-layer": effect("adipose-layer")})])
     base = the_bench.fit((), {})
     found = the_bench.verified(the_bench.fit(("adipose-layer",), {}))
-    model, true = the_bench.predictions.model_of(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
-    ended = the_bench.fits.off(the_bench.predictions.x_of(found), model)
-    the_bench.predictions.sites[0].repair(4.0, model, true)
+    model, true = the_bench.model_of(found), {"log_fat_softness": 1.1, "fat_thickness_mm": 6.0}
+    ended = the_bench.off(the_bench.x_of(found), model)
+    the_bench.sites[0].repair(4.0, model, true)
     x = np.array(
         [
             *np.log([0.0065, 4.0]),
-            *(true[slot.name] for slot in the_bench.predictions.slots(found.explanation)),
+            *(true[slot.name] for slot in the_bench.slots(found.explanation)),
         ]
     )
-    at_truth = the_bench.fits.off(x, model)
+    at_truth = the_bench.off(x, model)
     simulations.close()
     assert ended @ ended < at_truth @ at_truth
-    left = [the_bench.predictions.whiten(the_bench.data.y - each.prediction) for each in (base, found)]
+    left = [the_bench.whiten(the_bench.data.y - each.prediction) for each in (base, found)]
     assert left[0] @ left[0] > left[1] @ left[1] + 15.0
     assert left[1] @ left[1] < 2.0 * len(levels.force) * 3
     # c is free and no wave speed tells it: with 5 % of mesh error the standard error is 0.86.

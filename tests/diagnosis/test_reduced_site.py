@@ -86,7 +86,7 @@ def test_speeds_at_a_few_levels_count_and_more_of_them_are_proposed(rng, n_speed
     few = levels(rng)
     speeds = np.where(np.arange(14) < n_speeds, few.swe_mean_m_per_s, np.nan)
     model = bench(replace(few, swe_mean_m_per_s=speeds), names=("force-gain", "swe-time-scale"))
-    assert sum(row.channel == "swe" for row in model.predictions.site.rows) == n_speeds
+    assert sum(row.channel == "swe" for row in model.site.rows) == n_speeds
     fits = [model.fit((), {}), model.fit(("swe-time-scale",), {})]
     assert "wave speeds" in {each.name for each in model.proposals(fits)}
     model = bench(few, names=("force-gain", "swe-time-scale"))
@@ -153,22 +153,21 @@ def test_what_sets_in_late_changes_only_the_levels_from_there_on(rng):
     the_bench = bench(levels(rng), names=("contraction",))
     x = np.array([*np.log([0.0065, 4.0]), 0.5])
     for m in (2.0, 5.0):
-        the_bench.predictions.sites[0].solve_nodes([m])
+        the_bench.sites[0].solve_nodes([m])
     onset = "tensed_after_share_of_levels"
-    plain = the_bench.predictions.predict(x[:2])
+    plain = the_bench.predict(x[:2])
     whole, late = (
-        the_bench.predictions.predict(x, AtPoints(("contraction",), ({onset: share},)))
-        for share in (0.0, 0.5)
+        the_bench.predict(x, AtPoints(("contraction",), ({onset: share},))) for share in (0.0, 0.5)
     )
-    level = np.array([row.level for row in the_bench.predictions.site.rows])
-    early = level < 0.5 * len(the_bench.predictions.site.protocol)
+    level = np.array([row.level for row in the_bench.site.rows])
+    early = level < 0.5 * len(the_bench.site.protocol)
     assert late[early] == pytest.approx(plain[early], rel=1e-12)
     assert late[~early] == pytest.approx(whole[~early], rel=1e-12)
     assert np.abs(whole[early] / plain[early] - 1).max() > 0.01
 
 
 def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
-    one = bench(levels(rng), names=("skin-layer", "contraction")).predictions.sites[0]
+    one = bench(levels(rng), names=("skin-layer", "contraction")).sites[0]
     for m in (2.0, 5.0):
         one.solve_nodes([m])
     points = ({"tensed_after_share_of_levels": 0.0}, {"skin_thickness_mm": 1.5})
@@ -186,7 +185,7 @@ def test_a_pair_starts_from_what_was_solved_of_its_parts(rng):
 
 def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
     """Where a large size was simulated, the model without the effect is still the model without it."""
-    one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
+    one = bench(levels(rng), names=("skin-layer",)).sites[0]
     for m in (2.0, 5.0):
         one.solve_nodes([m])
     skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
@@ -207,7 +206,7 @@ def test_what_a_simulation_mends_goes_with_the_effects_size(rng):
 
 def test_every_model_that_was_simulated_is_kept_as_it_is(rng):
     """Whatever is simulated after it, further off, and with another m."""
-    one = bench(levels(rng), names=("skin-layer",)).predictions.sites[0]
+    one = bench(levels(rng), names=("skin-layer",)).sites[0]
     for m in (2.0, 5.0):
         one.solve_nodes([m])
     skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
@@ -227,20 +226,20 @@ def test_a_fit_that_does_not_stay_ends_at_the_best_that_was_simulated(rng, monke
     the_bench = bench(levels(rng), names=("skin-layer",))
     the_bench.fit((), {})
     drafted = the_bench.fit(("skin-layer",), {})
-    skin, x, visited = the_bench.predictions.model_of(drafted), the_bench.predictions.x_of(drafted), []
+    skin, x, visited = the_bench.model_of(drafted), the_bench.x_of(drafted), []
     wandering = iter([1.1, 4.0, 0.2, 3.0])
 
     def best_fit(model, start, *, besides=(), **how):
-        return 0.0, the_bench.fits.fitted(np.array([*x[:2], next(wandering)]), model)
+        return 0.0, the_bench.fitted(np.array([*x[:2], next(wandering)]), model)
 
     def off(at, model):
         visited.append(at[2])
         return np.array([at[2] - 1.0])
 
-    monkeypatch.setattr(the_bench.predictions.sites[0], "repair", lambda *model: None)
-    monkeypatch.setattr(the_bench.fits, "best", best_fit)
-    monkeypatch.setattr(the_bench.fits, "off", off)
-    found = the_bench.verified(the_bench.fits.fitted(np.array([*x[:2], 5.0]), skin))
+    monkeypatch.setattr(the_bench.sites[0], "repair", lambda *model: None)
+    monkeypatch.setattr(the_bench, "best", best_fit)
+    monkeypatch.setattr(the_bench, "off", off)
+    found = the_bench.verified(the_bench.fitted(np.array([*x[:2], 5.0]), skin))
     assert visited == [5.0, 1.1, 4.0, 0.2]
     assert found.values["log_skin_ratio"] == pytest.approx(1.1)
 
@@ -248,7 +247,7 @@ def test_a_fit_that_does_not_stay_ends_at_the_best_that_was_simulated(rng, monke
 def test_a_fit_keeps_away_from_what_has_no_answer(rng, monkeypatch):
     the_bench = bench(levels(rng), names=("skin-layer",))
     the_bench.fit((), {})
-    predict, beyond = the_bench.predictions.predict, 0.5
+    predict, beyond = the_bench.predict, 0.5
     skin = AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
 
     def refused(x, *model):
@@ -256,32 +255,32 @@ def test_a_fit_keeps_away_from_what_has_no_answer(rng, monkeypatch):
             raise SolveError("no answer", where="here", fix="none")
         return predict(x, *model)
 
-    monkeypatch.setattr(the_bench.predictions, "predict", refused)
-    deviance, fitted = the_bench.fits.best(skin, {})
+    monkeypatch.setattr(the_bench, "predict", refused)
+    deviance, fitted = the_bench.best(skin, {})
     assert fitted.values["log_skin_ratio"] < beyond
     assert deviance < 1e4
     beyond = -10.0
     with pytest.raises(SolveError, match="no answer"):
-        the_bench.fits.best(skin, {})
+        the_bench.best(skin, {})
 
 
 def test_a_fit_with_one_effect_is_no_worse_than_without_it(rng, monkeypatch):
     """Also where it begins at a large size, whose simulation was a surprise."""
     the_bench = bench(levels(rng), names=("skin-layer",))
     without = the_bench.fit((), {})
-    one, skin = the_bench.predictions.sites[0], AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
+    one, skin = the_bench.sites[0], AtPoints(("skin-layer",), ({"skin_thickness_mm": 1.5},))
     solved = one.simulations.curves
 
     def stiffer(m, ingredients=()):
         found = solved(m, ingredients)
         return replace(found, force=20.0 * found.force) if ingredients else found
 
-    (begun,) = the_bench.fits._ends_of_parts(skin)
+    (begun,) = the_bench._ends_of_parts(skin)
     assert np.exp(begun[:2]) == pytest.approx([without.values["c_kpa"] / 1e3, without.values["m"]])
     monkeypatch.setattr(one.simulations, "curves", stiffer)
     one.repair(4.0, skin, {"log_skin_ratio": 4.9})
-    deviance, fitted = the_bench.fits.best(skin, {"log_skin_ratio": 4.9})
-    off = the_bench.fits.off(the_bench.predictions.x_of(without), AtPoints())
+    deviance, fitted = the_bench.best(skin, {"log_skin_ratio": 4.9})
+    off = the_bench.off(the_bench.x_of(without), AtPoints())
     assert deviance <= float(off @ off) + 0.1, fitted.values
 
 
@@ -305,7 +304,7 @@ def test_what_cannot_be_run_is_said(rng):
 def test_json_and_pictures(rng, tmp_path):
     the_bench = bench(levels(rng, reading=Reading(force_zero=1.5)))
     found = diagnose(the_bench)
-    content = diagnosis_json(found, the_bench.predictions.site, the_bench)
+    content = diagnosis_json(found, the_bench.site, the_bench)
     assert content["verdict"] == "named"
     assert content["candidates"][0]["name"] == "force-zero"
     assert content["candidates"][0]["probability"] >= decisions.CREDIBLE
@@ -319,14 +318,14 @@ def test_json_and_pictures(rng, tmp_path):
     assert content["where"][0]["p_adjusted"] < content["left"][0]["p_adjusted"]
     json.dumps(content, allow_nan=False)
     assert content["shrink"][-1]["chi2_per_nu"] < content["shrink"][0]["chi2_per_nu"]
-    gap_picture(found, [the_bench.predictions.site], tmp_path / "gap.png")
+    gap_picture(found, [the_bench.site], tmp_path / "gap.png")
     candidates_picture(found, tmp_path / "candidates.png")
     assert (tmp_path / "gap.png").stat().st_size > 5000
     assert (tmp_path / "candidates.png").stat().st_size > 5000
 
 
 def test_depth_error_moves_all_channels_of_a_level_together(rng):
-    site = bench(levels(rng)).predictions.site
+    site = bench(levels(rng)).site
     covariance = site.data.noise.covariance
     rows = {(row.channel, row.level): k for k, row in enumerate(site.rows)}
     force, speed = rows["force", 9], rows["swe", 9]
@@ -343,7 +342,7 @@ def test_jacobian_is_that_of_the_prediction(rng):
     for k in range(2):
         up, down = x.copy(), x.copy()
         up[k], down[k] = x[k] + step, x[k] - step
-        slope = (the_bench.predictions.predict(up) - the_bench.predictions.predict(down)) / (2 * step)
+        slope = (the_bench.predict(up) - the_bench.predict(down)) / (2 * step)
         assert fitted.jacobian[:, k] == pytest.approx(slope, abs=2e-3 * np.abs(slope).max())
 
 
@@ -397,17 +396,15 @@ def test_the_error_of_all_strains_lies_along_the_fitted_model(rng):
     error = ModelError(STRAIN, np.zeros(14), nothing, strain=0.05)
     the_bench = bench(levels(rng), errors=[error])
     fitted = the_bench.fit((), {})
-    curves, reading = the_bench.predictions.curves_of(fitted)
+    curves, reading = the_bench.curves_of(fitted)
     before = strain_error(the_bench)
-    the_bench.predictions.strain_along(fitted)
+    the_bench.strain_along(fitted)
     after = strain_error(the_bench)
-    more, less = (
-        the_bench.predictions.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99)
-    )
-    changes = np.array([row.channel in ("force", "swe") for row in the_bench.predictions.site.rows])
+    more, less = (the_bench.site.predict(curves, replace(reading, depth_gain=g)) for g in (1.01, 0.99))
+    changes = np.array([row.channel in ("force", "swe") for row in the_bench.site.rows])
     direction = np.where(changes, (more - less) / 0.02, 0.0)
     assert after == pytest.approx(0.05**2 * np.outer(direction, direction), rel=1e-6, abs=1e-9)
-    the_bench.predictions.strain_along(fitted)
+    the_bench.strain_along(fitted)
     assert strain_error(the_bench) == pytest.approx(after, rel=1e-9, abs=1e-12), "its size stays"
     assert np.trace(before) == pytest.approx(np.trace(after), rel=0.3)
 
@@ -428,9 +425,7 @@ def test_a_size_that_the_data_do_not_tell_is_a_plausible_one(rng):
     the_bench = bench(levels(rng), names=("adipose-layer",))
     the_bench.fit((), {})
     fitted = the_bench.fit(("adipose-layer",), {"log_fat_softness": 2.9})
-    softness = {each.name: each.prior for each in the_bench.predictions.sizes("adipose-layer")}[
-        "log_fat_softness"
-    ]
+    softness = {each.name: each.prior for each in the_bench.sizes("adipose-layer")}["log_fat_softness"]
     assert not any("higher bound" in each for each in fitted.at_bound.values())
     assert abs(fitted.values["log_fat_softness"] - softness.mean) < softness.deviation
 
@@ -452,7 +447,7 @@ def test_an_effect_that_changes_much_leaves_the_tissue_less_certain(rng):
 def test_curves_between_solved_exponents_are_those_of_a_simulation(rng):
     """m 2, 5 and 10 are solved; from 1 to 9 the rest follows."""
     the_bench = bench(levels(rng), names=("force-zero",))
-    one = the_bench.predictions.sites[0]
+    one = the_bench.sites[0]
     for m in (2.0, 5.0, 10.0):
         one.solve_nodes([m])
     for m in (1.0, 1.5, 3.0, 4.0, 7.0, 9.0):
@@ -467,7 +462,7 @@ def test_a_fit_beyond_the_solved_exponents_has_one_of_its_own(rng):
     the_bench = bench(levels(rng, m=14.0), names=("force-zero",))
     fitted = the_bench.fit((), {})
     assert fitted.values["m"] == pytest.approx(14.0, rel=0.1)
-    assert min(abs(np.log(node / fitted.values["m"])) for node in the_bench.predictions.sites[0].nodes) < 0.1
+    assert min(abs(np.log(node / fitted.values["m"])) for node in the_bench.sites[0].nodes) < 0.1
 
 
 def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkeypatch):
@@ -478,7 +473,7 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
         "shift",
         lambda self, m, ingredients: tuple(0.5 * x for x in whole(self, m, ingredients)),
     )
-    one, skin = bench(levels(rng), names=("skin-layer",)).predictions.sites[0], effect("skin-layer")
+    one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
     one.solve_nodes([2.0])
     theta = {"log_skin_ratio": 1.5}
     true = logs(one.simulations.curves(2.0, ((skin, {**skin.grid[0], **theta}),))) - logs(
@@ -491,7 +486,7 @@ def test_an_effect_that_spreads_the_load_is_solved_once_at_its_start(rng, monkey
 
 
 def test_what_an_effect_spreads_is_told_where_it_was_not_simulated(rng, monkeypatch):
-    one, skin = bench(levels(rng), names=("skin-layer",)).predictions.sites[0], effect("skin-layer")
+    one, skin = bench(levels(rng), names=("skin-layer",)).sites[0], effect("skin-layer")
     one.solve_nodes([2.0])
     whole = one.simulations.curves
 
@@ -512,10 +507,10 @@ def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
     made = bench(measured, ("contraction", "force-zero"))
     made.fit((), {})
     fitted = made.fit(("contraction",), {})
-    made.predictions.sites[0].simulations.spent = True
+    made.sites[0].simulations.spent = True
     assert made.verified(fitted) is fitted
     assert made.not_simulated == {("contraction",)}
-    made.predictions.sites[0].simulations.spent = False
+    made.sites[0].simulations.spent = False
     assert made.verified(fitted) is not fitted
     without = made.fit(("force-zero",), {})
     assert made.verified(without) is without
@@ -552,7 +547,7 @@ def test_a_prediction_that_is_not_a_number_is_no_answer():
 
 def test_curves_are_composed_once_for_every_c_and_every_reading(rng, monkeypatch):
     model = bench(levels(rng), names=("force-zero", "skin-layer"))
-    (site,) = model.predictions.sites
+    (site,) = model.sites
     for m in (2.0, 5.0):
         site.solve_nodes([m])
     composed, of = [], site.changes.of

@@ -37,12 +37,10 @@ def test_section_shows_verdict_candidates_and_blind_spots(tmp_path):
     bench = reduced.bench(reduced.levels(np.random.default_rng(7)))
     found = diagnose(bench)
     with open_stage(tmp_path, "diagnose", subject="S1", site="p1") as writer:
-        writer.data.update(
-            {**diagnosis_json(found, bench.predictions.site, bench), "sentences": sentences(found)}
-        )
-        gap_picture(found, [bench.predictions.site], writer.file("gap", "gap.png"))
+        writer.data.update({**diagnosis_json(found, bench.site, bench), "sentences": sentences(found)})
+        gap_picture(found, [bench.site], writer.file("gap", "gap.png"))
         candidates_picture(found, writer.file("candidates", "candidates.png"))
-        sizes_picture(found, sizes_of(bench, bench.predictions.site), writer.file("sizes", "sizes.png"))
+        sizes_picture(found, sizes_of(bench, bench.site), writer.file("sizes", "sizes.png"))
     shown = diagnosis(page_of(tmp_path), SimpleNamespace(name="p1"))
     assert shown.mood == "fine"
     assert shown.answer.startswith("ADEQUATE")

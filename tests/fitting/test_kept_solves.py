@@ -7,8 +7,7 @@ import pytest
 
 from limbcli.feb.settings import schedule
 from limbcli.fitting.force_curves import ReferenceCurve
-from limbcli.fitting.kept_solves import KeptForces, KeptSolves
-from limbcli.fitting.solve_again import CheckSolver
+from limbcli.fitting.kept_solves import CheckSolver, KeptForces, KeptSolves
 from limbcli.inference.prediction import Prediction
 from limbcli.site_model.indentation_model import indentation_model, with_penalty, with_tissue
 from limbcli.solvers.session import ReferenceSession

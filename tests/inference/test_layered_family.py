@@ -10,8 +10,7 @@ from hypothesis import strategies as st
 from limbcli.cohorts.population import CohortModel
 from limbcli.errors import ToolError
 from limbcli.inference import layered_family as module
-from limbcli.inference.layered_family import is_inside, layered_family
-from limbcli.inference.layered_solves import (
+from limbcli.inference.layered_family import (
     COORDINATES,
     EXPONENT,
     FILE,
@@ -21,6 +20,8 @@ from limbcli.inference.layered_solves import (
     MUSCLE_PART,
     RATIO,
     SKIN_PART,
+    is_inside,
+    layered_family,
     read_solved,
     shares_of,
     trend,

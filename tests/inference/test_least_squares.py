@@ -7,7 +7,7 @@ from scipy.optimize import least_squares, lsq_linear
 from limbcli.errors import FitError, SolveError
 from limbcli.inference.least_squares import least_squares_fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.residual import Residual
+from limbcli.inference.prediction import Residual
 
 TIMES = np.linspace(0.0, 3.0, 25)
 

@@ -7,10 +7,10 @@ import dataclasses
 import numpy as np
 import pytest
 
-from limbcli.inference.emulator import Emulator
 from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.surrogate import Emulator
 
 C0, KNOTS = 0.008, np.linspace(1.0, 10.0, 8)
 THETA = np.array([1.1 * C0, 40.0, 3.0, 1.02])

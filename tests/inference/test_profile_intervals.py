@@ -7,10 +7,9 @@ from limbcli.errors import SolveError
 from limbcli.inference import profile_intervals as interval_module
 from limbcli.inference.least_squares import least_squares_fit
 from limbcli.inference.parameter import FitParameter
-from limbcli.inference.prediction import SolvedPoints
+from limbcli.inference.prediction import Residual, SolvedPoints
 from limbcli.inference.profile import profile_likelihood
 from limbcli.inference.profile_intervals import Stiffness, force_intervals
-from limbcli.inference.residual import Residual
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth, two_step
 
 pytestmark = pytest.mark.slow

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.inference.prediction import Prediction
-from limbcli.inference.residual import force_residual
+from limbcli.inference.prediction import Prediction, force_residual
 
 
 def predict(theta: np.ndarray, *, derivative: bool = True) -> Prediction:

@@ -9,8 +9,7 @@ import pytest
 
 from limbcli.inference.joint_fit import JointProblem, JointTask
 from limbcli.inference.prediction import Prediction, SolvedPoints
-from limbcli.inference.site_depth import predict_site
-from limbcli.inference.site_layers import NO_LAYERS, LayerData
+from limbcli.inference.site_depth import NO_LAYERS, LayerData, predict_site
 from tests.inference.test_joint_fit import C0, KNOTS, LOG_SPEED_0, SHAPE, STARTS, curve, measurement
 
 REST = np.array([1.5, 7.0])

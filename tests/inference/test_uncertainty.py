@@ -10,8 +10,8 @@ from scipy.stats import t as student
 from limbcli.inference.adaptive import adaptive_profiles
 from limbcli.inference.identifiability import NoProfile, correlation, has_influence, log_covariance, verdict
 from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Residual
 from limbcli.inference.profile import Profile
-from limbcli.inference.residual import Residual
 from limbcli.numbers.interval_limits import THRESHOLD_95, noise_scale, threshold_95
 from limbcli.reporting.headline import headline
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from limbcli.diagnosis.curves.site_simulations import NodeTable
+from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.windows import Windows
 from limbcli.effects.frozen_deformation import SolvedDeformation
 from limbcli.shear_waves.speed import block_speeds
@@ -48,9 +48,10 @@ def test_volumes_and_middles_are_those_of_the_block(element, n):
 
 
 def deformation() -> SolvedDeformation:
-    table = NodeTable.of(QUADRATIC, Windows(-8.0, 8.0, 2.0, 10.0, 4, 2), 1000.0)
-    values = np.array([[0.5], [1.0]])[:, :, None] * bent(QUADRATIC.mesh.points[table.nodes])
-    return table.kinematics(QUADRATIC, np.array([0.0, 1.0, 2.0]), values)
+    windows = Windows(-8.0, 8.0, 2.0, 10.0, 4, 2)
+    made = SiteSimulations(QUADRATIC, [1.0, 2.0], c=0.006, windows=windows)
+    values = np.array([[0.5], [1.0]])[:, :, None] * bent(QUADRATIC.mesh.points[made.nodes])
+    return made.deformation(QUADRATIC, np.array([0.0, 1.0, 2.0]), values)
 
 
 def test_speeds_are_read_at_the_points_and_not_at_the_cells_means():

@@ -11,6 +11,7 @@ import pytest
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.fitting.force_curves import LawCurve
+from limbcli.fitting.kept_solves import CheckSolver, checked_levels
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.model_checks import (
     BOUNDARIES,
@@ -20,7 +21,6 @@ from limbcli.fitting.model_checks import (
     moved_parameters,
     write_boundary_check,
 )
-from limbcli.fitting.solve_again import CheckSolver, checked_levels
 from limbcli.inference.prediction import Prediction, SolvedPoints
 from limbcli.inference.two_step_fit import CurveMatch, ForceDepth
 from limbcli.model import LimbModel

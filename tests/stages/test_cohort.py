@@ -19,8 +19,7 @@ from limbcli.cohorts.estimate import estimate_sites, noise_of
 from limbcli.cohorts.population import PRIOR_DEVIATION, START, CohortModel, reading_noise, readings
 from limbcli.cohorts.result import holm, natural, person_scores
 from limbcli.errors import CaseError, MeasurementError
-from limbcli.inference.layered_family import is_inside, layered_family
-from limbcli.inference.layered_solves import FILE, HIGH, LOW, read_solved
+from limbcli.inference.layered_family import FILE, HIGH, LOW, is_inside, layered_family, read_solved
 from limbcli.inference.population import row_modes
 from limbcli.stages.cohort import _refuse_foreign, cohort, read_cohort
 from tests.benchmarks.cohort_structure import SHAPES, STRUCTURES, Structure, strains_and_force

@@ -77,13 +77,12 @@ def test_on_a_bone_that_gives_way_the_probe_goes_to_the_depths_in_the_tissue(tmp
         curves=SimpleNamespace(site=SimpleNamespace(protocol=protocol), penetration=None),
         simulations=SimpleNamespace(c=0.008),
     )
-    predictions = SimpleNamespace(
+    forward_model = SimpleNamespace(
         curves_of=lambda fitted, number: (curves, added.observe(Reading(), theta)),
         theta=lambda values, explanation, number: theta,
         model_of=lambda fitted: AtPoints(fitted.explanation, ({},)),
         effects={added.name: added},
     )
-    forward_model = SimpleNamespace(predictions=predictions)
     found = SimpleNamespace(final=Fitted((added.name,)), estimates=Fitted(values={}))
     writer = SimpleNamespace(warnings=[], file=lambda kind, name: tmp_path / name)
     written.write_diagnosed(found, forward_model, mine, writer, out=tmp_path / "out", number=0)

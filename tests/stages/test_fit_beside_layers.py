@@ -118,17 +118,16 @@ def test_states_are_told_apart_beside_fat() -> None:
         data.append(
             SiteMeasurement(
                 name, np.array(depths), forces[1:], depth[1:], 0.002, 0.005, forces, speed,
-                np.full(len(forces), 0.01),
+                np.full(len(forces), 0.01), 1e-4,
             )
         )  # fmt: skip
     truth.close()
     curve = StateCurve(model, law.beside_layers(), ("around",), depths, c=c0, **ways)
-    problem, found = identify(curve, law, plan, data, gain=1e-4, max_rounds=0)
+    problem, found = identify(curve, law, plan, data, max_rounds=0)
     try:
         np.testing.assert_allclose(found.best[:4], [true_c, *shape, unloaded], rtol=0.01)
-        fitted = curve.in_state(
-            model, problem.place(1, found.best), c=problem.c_of_curve(found.best)
-        ).materials["tissue"]
+        c = c0 * problem.blocks[1].place(found.best)[0]
+        fitted = curve.in_state(model, problem.place(1, found.best), c=c).materials["tissue"]
         assert fitted.parts[0].parameters["c1"] == pytest.approx(true_c / 2, rel=0.01)
     finally:
         curve.close()

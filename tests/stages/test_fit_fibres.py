@@ -12,8 +12,7 @@ from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
-from limbcli.fitting.fibre_rest_speed import rest_speed
-from limbcli.fitting.fibre_uncertainty import share_along, undetermined
+from limbcli.fitting.fibres import rest_speed, share_along, undetermined
 from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import FIBRE_F_KAPPA, LAWS, law_named
 from limbcli.materials.energy import program_energy

@@ -12,10 +12,10 @@ import limbcli
 from limbcli.case import Case
 from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
-from limbcli.inference.derived import SearchRange, derived_interval
+from limbcli.inference.derived import derived_interval
 from limbcli.inference.parameter import FitParameter
+from limbcli.inference.prediction import Residual
 from limbcli.inference.profile import best_of
-from limbcli.inference.residual import Residual
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult
 from limbcli.site_model.site_states import states_of
@@ -190,20 +190,20 @@ def test_interval_of_a_derived_quantity_is_that_of_a_linear_problem():
     def total(theta):
         return float(theta[0] + 2 * theta[1])
 
-    found = derived_interval(objective, parameters, best, total, SearchRange(2.0, 40.0, 0.5))
+    found = derived_interval(objective, parameters, best, total, 2.0, 40.0, 0.5)
     assert found.value == pytest.approx(11.0, abs=1e-3)
     half = 1.95996 * np.sqrt(2.0)
     assert (found.low, found.high) == pytest.approx((11.0 - half, 11.0 + half), abs=0.03)
     assert not found.open_low
     assert not found.open_high
     noisier = derived_interval(
-        objective, parameters, best, total, SearchRange(2.0, 40.0, 0.5), scale=4.0
+        objective, parameters, best, total, 2.0, 40.0, 0.5, scale=4.0
     )  # the noise's variance four times as large as stated
     assert (noisier.low, noisier.high) == pytest.approx((11.0 - 2 * half, 11.0 + 2 * half), abs=0.03)
-    short = derived_interval(objective, parameters, best, total, SearchRange(10.5, 12.0, 0.5))
+    short = derived_interval(objective, parameters, best, total, 10.5, 12.0, 0.5)
     assert short.open_low
     assert short.open_high
     narrow = [FitParameter("a", 5.0, 4.9, 5.1, "log"), FitParameter("b", 3.0, 2.9, 3.1, "log")]
-    by_bounds = derived_interval(objective, narrow, best, total, SearchRange(2.0, 40.0, 0.5))
+    by_bounds = derived_interval(objective, narrow, best, total, 2.0, 40.0, 0.5)
     assert by_bounds.open_low  # what ended it is the bounds, of which the data say nothing
     assert by_bounds.open_high

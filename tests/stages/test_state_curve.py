@@ -16,10 +16,10 @@ from limbcli.fem.equilibrium.newton import Settings
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of
+from limbcli.inference.joint_fit import JointProblem, JointTask
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.prediction import SolvedPoints
 from limbcli.inference.site_depth import SiteMeasurement
-from limbcli.inference.states_fit import StatesProblem, StatesTask
 from limbcli.shear_waves.speed import material_speeds
 from limbcli.site_model.indentation_model import indentation_model
 from limbcli.site_model.prestretch import StretchAxes, prestretched, skin_rise, through_depths
@@ -173,14 +173,11 @@ def test_residuals_of_states_have_the_slopes_of_their_differences(curve):
     force = np.array([0.5, 1.5, 4.0])
     data = SiteMeasurement(
         "a", curve.depths, force, np.array([0.4, 0.8, 1.8]), 0.05, 0.1, np.r_[0.0, force],
-        np.log([1.6, 1.7, 1.8, 2.0]), np.full(4, 0.03),
+        np.log([1.6, 1.7, 1.8, 2.0]), np.full(4, 0.03), 0.05,
     )  # fmt: skip
-    task = StatesTask(
-        memory, curve.even_speed, [data] * 2, plan.offsets, plan.factors, shape, plan.parameters,
-        state_case.C, 0.05,
-    )  # fmt: skip
+    task = JointTask([memory] * 2, [data] * 2, shape, state_case.C, states=plan, even_speed=curve.even_speed)
     values = np.array([each.start for each in plan.parameters])
-    problem = StatesProblem(task, [np.r_[state_case.C, 60.0, 3.0, values]])
+    problem = JointProblem(task, [np.r_[state_case.C, 60.0, 3.0, values]])
     theta = np.array([1.1 * state_case.C, 60.0, 3.0, 1.02, 0.98, 1.04])
     residual = problem.objective()
     exact = residual(theta, True).jacobian

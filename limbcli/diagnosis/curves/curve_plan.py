@@ -44,10 +44,7 @@ _MOST_ALLOWED, _MOST_IN_ALL = 25e6, 100e6
 
 def bend(m: Any) -> Any:
     """Transform of m in which ln force and ln speed are smooth: the law is even in m, and exponential for
-    large m.
-
-    Polynomials in it through m 2, 5, 10 give force and speed within 0.3 % from 1 to 9; in ln m within 80 %.
-    """
+    large m. Polynomials in it through m 2, 5, 10 are within 0.3 % from 1 to 9; in ln m within 80 %."""
     return np.sqrt(_BEND**2 + np.square(m))
 
 
@@ -87,10 +84,9 @@ def some_solved(
 class Reach:
     """How far to simulate curves.
 
-    needed : mm, the depth to be reached; deeper levels are tried briefly, at m 4 only. None: all depths
-    enough : fraction of this depth that must be reached by the solver
-    enough_force : N (at the simulations' c), larger than any reading: the simulation ends at the first level
-        with this force
+    needed : mm, the depth to be reached (None: all); deeper levels are tried briefly, at m 4 only
+    enough : fraction of this depth that must be reached by the solver; enough_force : N (at the simulations'
+        c), larger than any reading, at which the simulation ends
     """
 
     needed: float | None = None
@@ -119,9 +115,9 @@ class Solving:
 
     tolerance : of the residual relative to the forces. That of 1e-3 changes forces by 3e-4; 1e-4 takes up to
         six times as long at folds
-    threads : of the linear solver; penalty : of the contact; None: four times that of the usual model
-    beside : simulations of the same depths on another mesh. Its levels are initial guesses, and curves
-        without effects are extrapolated along its curves where the solver stops
+    penalty : of the contact; None: four times that of the usual model
+    beside : simulations of the same depths on another mesh, whose levels are initial guesses, and along whose
+        curves those without effects are extrapolated
     """
 
     tolerance: float = 1e-3
@@ -146,11 +142,8 @@ class SiteWork:
     def of_candidate(
         self, *, has_friction: bool = False, fitted: bool = False, needed: float = 1.0
     ) -> Budget:
-        """Budget of a solve with a candidate effect.
-
-        fitted : the size of the effect is that of a fit; needed : fraction of the load steps that must be
-        reached
-        """
+        """Budget of a solve with a candidate effect, with a size of a fit (`fitted`) or of the first
+        estimate; needed : fraction of the load steps that must be reached"""
         times = _TIMES_WITH_FRICTION if has_friction else _TIMES_FITTED if fitted else _TIMES_USUAL
         limit = max(_LEAST_ALLOWED, min(times * self.mean, _MOST_ALLOWED / max(self.n_cells, 1)))
         return Budget(allowed=limit, needed=needed, beyond=_FOR_MORE)
@@ -162,11 +155,8 @@ class SiteWork:
 
     @contextlib.contextmanager
     def aside(self) -> Iterator[None]:
-        """Context manager in which solves are not counted.
-
-        A diagnosis that finds the final result in the cache does not repeat the auxiliary solves within, and
-        must come to the same conclusion.
-        """
+        """Context manager in which solves are not counted: a diagnosis that finds the final result in the
+        cache does not repeat these auxiliary solves, and must come to the same conclusion."""
         known = self.total, list(self.usual)
         try:
             yield
@@ -175,7 +165,6 @@ class SiteWork:
 
     @property
     def spent(self) -> bool:
-        """Whether the work limit of the diagnosis is reached; further fits are then reported without
-        simulations of their own."""
+        """Whether the work limit of the diagnosis is reached: further fits are then not simulated."""
         usual = _TIMES_USUAL_IN_ALL * max(self.mean, _LEAST_USUAL)
         return self.total > min(usual, _MOST_IN_ALL / max(self.n_cells, 1))

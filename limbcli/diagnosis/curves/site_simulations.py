@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +29,7 @@ from limbcli.effects.stiffness_places import Stiffness
 from limbcli.effects.tissue import thickness
 from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
-from limbcli.model import Array, IntArray, LimbModel, LogRecord
+from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
 from limbcli.site_model.indentation_model import indentation_model, starting_depth, tissue_nodes, with_penalty
 from limbcli.site_model.layer_readings import LayerReadings
@@ -46,98 +46,18 @@ _CONTACT_STIFFER = 4.0
 _MOST_CHANGE = 10.0  # largest factor on the force at fixed deformation: stretched cells, exponential laws
 
 
-@dataclass(frozen=True, eq=False)
-class NodeTable:
-    """Evaluates displacements of the tissue's nodes.
-
-    nodes : indices of these; lines (n_borders,) : mm below the skin at first touch, of layer borders to track
-    """
-
-    nodes: IntArray
-    windows: Windows
-    density_kg_per_m3: float
-    lines: Array | None = None
-
-    @staticmethod
-    def of(
-        model: LimbModel, windows: Windows, density_kg_per_m3: float, lines: Array | None = None
-    ) -> NodeTable:
-        nodes = np.unique(model.mesh.solid_blocks[0].cells)
-        return NodeTable(nodes, windows, density_kg_per_m3, lines)
-
-    def records(self, model: LimbModel) -> tuple[LogRecord, ...]:
-        """Required output of a simulation; for lines all tissue nodes, as effects may move the mesh under the
-        beam."""
-        displacements = LogRecord("node", ("ux", "uy", "uz"), _FILE, self.nodes)
-        if self.lines is None:
-            return (displacements,)
-        return displacements, LogRecord("node", ("ux", "uy", "uz"), OF_LINES, tissue_nodes(model))
-
-    def values(self, solve: Solve) -> Array:
-        """Displacements at the levels reached, in the precision of the memo, so that a resumed diagnosis
-        continues with the same numbers."""
-        return solve.result.simulation.nodes[_FILE].values[solve.result.rows].astype(np.float32).astype(float)
-
-    def kinematics(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
-        """The tissue's deformation at these depths (mm, n), the first of which is 0."""
-        points = IntegrationPoints.of(model.mesh.points, model.mesh.solid_blocks[0])
-        displacement = np.zeros((len(depth), len(model.mesh.points), 3))
-        displacement[1:, self.nodes] = values
-        rest = points.rest.reshape(-1, 3)
-        F = np.array([points.gradients(u) for u in displacement])
-        seen = [
-            self.windows.seen(
-                model, points.places(u).reshape(-1, 3), rest, gradient.reshape(-1, 3, 3), depth=float(d)
-            )
-            for u, gradient, d in zip(displacement, F, depth, strict=True)
-        ]
-        return SolvedDeformation(depth, F, points.rest, points.volume, tuple(seen))
-
-    def curves(
-        self, solve: Solve, kinematics: SolvedDeformation, *, in_window: LimbModel,
-        stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
-    ) -> Curves:  # fmt: skip
-        """Curves down to the level reached.
-
-        in_window : the model used for the wave speeds, without `stiffness`; stiffness : fields that multiply
-        its stiffnesses; without : see `strain_concentrations`
-        """
-        density = self.density_kg_per_m3
-        concentrations = strain_concentrations(
-            in_window, kinematics, without, stiffness, density_kg_per_m3=density
-        )
-        speeds = frozen_speed(
-            in_window, kinematics, stiffness, density_kg_per_m3=density, concentrations=concentrations
-        )
-        return Curves(
-            kinematics.depth, np.concatenate([[0.0], solve.result.must_points.forces]), speeds,
-            self.windows.depths, thickness(solve.model), self._log_lines(solve),
-        )  # fmt: skip
-
-    def _log_lines(self, solve: Solve) -> Array | None:
-        """ln of the lines' depth in mm below the skin (1 + n_depths, n_borders), at rest first."""
-        if self.lines is None:
-            return None
-        lines, moved = material_lines(solve.model, self.lines), solve.result.simulation.nodes[OF_LINES]
-        below = lines.below_skin(lines.of_table(moved)[solve.result.rows][..., 2])
-        return np.log(np.maximum(np.vstack([self.lines, below]), _LEAST_LINE))
-
-
 class SiteSimulations:
     """Curves of one site on one working mesh.
 
     meshed : the site's model as `mesh` makes it; depths : mm, of the levels to simulate
     reach : how far to simulate. Where the solver stops short of the depth needed, but beyond enough of it,
         curves are extrapolated along those of a stiffer law, or of the model without effects
-    c : MPa, the reference stiffness; keep : cache folder of solved curves
-    layers : whose borders to track, but for the one at the bone
-
-    Attributes
-    ----------
-    model : without effects; depths, needed : mm, of the levels, and to be reached; few : of the depths, those
-        at which models with effects are solved; work : of the solves
-    n_solves : of this run, including failed ones
-    in_part : label of a model -> mm reached by the solver, where less than needed
+    c : MPa, the reference stiffness; keep : cache folder; layers : whose borders to track, but for that at
+        the bone
+    few : of the depths, those at which models with effects are solved; n_solves : of this run, with failed
+        ones
+    nodes : indices of the tissue's; lines (n_borders,) : mm below the skin at first touch, of layer borders
+    in_part : label of a model -> mm reached by the solver, where less than the depth `needed`
     """
 
     def __init__(
@@ -148,11 +68,15 @@ class SiteSimulations:
     ):  # fmt: skip
         plan = schedule(list(depths), start=starting_depth(meshed, depths[0]))
         model = indentation_model(meshed, plan, c=c, f_kappa=f_kappa, m=2.0)
-        lines = None if layers is None else np.asarray(layers.rest[: layers.n_counted])
-        self.table = NodeTable.of(model, windows, density_kg_per_m3, lines)
+        self.lines = lines = None if layers is None else np.asarray(layers.rest[: layers.n_counted])
+        self.nodes = np.unique(model.mesh.solid_blocks[0].cells)
+        self.density_kg_per_m3 = density_kg_per_m3
+        records = [LogRecord("node", ("ux", "uy", "uz"), _FILE, self.nodes)]
+        if lines is not None:  # of all tissue nodes, as effects may move the mesh under the beam
+            records.append(LogRecord("node", ("ux", "uy", "uz"), OF_LINES, tissue_nodes(model)))
         model = with_penalty(model, solving.penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.c, self.windows, self.depths = c, windows, [float(each) for each in depths]
-        self.model = replace(model, records=(*model.records[:1], *self.table.records(model)))
+        self.model = replace(model, records=(*model.records[:1], *records))
         self.needed = self.depths[-1] if reach.needed is None else reach.needed
         content = fingerprint(
             self.model, depths, c=c, f_kappa=f_kappa, windows=windows, enough_force=reach.enough_force,
@@ -178,7 +102,7 @@ class SiteSimulations:
         solver = self.solver
         return SiteSimulations(
             meshed, depths, c=self.c, f_kappa=self.models.f_kappa, windows=self.windows,
-            density_kg_per_m3=self.table.density_kg_per_m3, keep=solver.memo.folder,
+            density_kg_per_m3=self.density_kg_per_m3, keep=solver.memo.folder,
             progress=solver.progress,
             reach=Reach(enough=enough, enough_force=solver.reach.enough_force),
             solving=replace(solver.solving, penalty=penalty, beside=self),
@@ -216,18 +140,16 @@ class SiteSimulations:
             if values is None:
                 self._known[key] = self._solved(key, m, ())
             else:
-                self._kinematics[key] = self.table.kinematics(self.model, curves.depth, values)
+                self._kinematics[key] = self.deformation(self.model, curves.depth, values)
         return self._kinematics[key]
 
     def shift(self, m: float, ingredients: Ingredients) -> tuple[Array, Array]:
-        """First-order change of ln force (n,) and ln speed (n, n_parts) by effects of the law.
-
-        Evaluated at the deformation solved without them, so that no simulation is needed. The change of force
-        at depth 0 is set to that of the first level.
+        """First-order change of ln force (n,) and ln speed (n, n_parts) by effects of the law, at the
+        deformation solved without them; that of force at depth 0 is set to that of the first level.
 
         Raises SolveError if the force at fixed deformation changes by more than `_MOST_CHANGE` times.
         """
-        kinematics, of_law, density = self.kinematics(m), laws(ingredients), self.table.density_kg_per_m3
+        kinematics, of_law, density = self.kinematics(m), laws(ingredients), self.density_kg_per_m3
         if m not in self._unchanged:
             plain = self.models.of(m)
             log_speed = frozen_speed(plain, kinematics, density_kg_per_m3=density)
@@ -273,9 +195,9 @@ class SiteSimulations:
         like = self._without(m) if ingredients else None
         depths = self.depths if like is None else self.few
         solve = self.solver.solve(m, ingredients, depths)
-        values, seen = self.table.values(solve), stiffness_fields(ingredients, waves=True)
-        kinematics = self.table.kinematics(solve.model, solve.depth, values)
-        curves = self.table.curves(
+        values, seen = self._values(solve), stiffness_fields(ingredients, waves=True)
+        kinematics = self.deformation(solve.model, solve.depth, values)
+        curves = self._read(
             solve, kinematics, in_window=self.models.of(m, laws(ingredients), waves=True), stiffness=seen,
             without=self._plain_deformations(m) if seen else (),
         )  # fmt: skip
@@ -291,7 +213,7 @@ class SiteSimulations:
         if not ingredients:
             if further:
                 values = np.concatenate([values, *[values[-1:]] * len(further)])
-                kinematics = self.table.kinematics(solve.model, curves.depth, values)
+                kinematics = self.deformation(solve.model, curves.depth, values)
             self._kinematics[key] = kinematics
             self.solver.memo.write(f"{key}-nodes", {"values": values.astype(np.float32)})
         self.solver.keep(key, ingredients, solve.result.levels)
@@ -314,8 +236,7 @@ class SiteSimulations:
         return found.curves
 
     def _plain_deformations(self, m: float) -> list[tuple[float, SolvedDeformation]]:
-        """Deformations without effects at the exponents `FIRST_M`, where solved, with their interpolation
-        weights at this m."""
+        """Deformations without effects at `FIRST_M`, where solved, with their interpolation weights at m."""
         found = list(where_solved(self.kinematics, sorted(FIRST_M)).items())
         if len(found) < len(FIRST_M):
             return [(1.0, each) for _, each in found[:1]]
@@ -338,3 +259,50 @@ class SiteSimulations:
             return self.solver.solving.beside.curves(m)
         stiffer = min((each for each in FIRST_M if each > m), default=m)
         return None if stiffer == m else self._without(stiffer)
+
+    # ------------------------------------------------------------ what is read of a solve
+
+    def _values(self, solve: Solve) -> Array:
+        """Displacements at the levels reached, in the memo's precision, with which a resumed run goes on."""
+        return solve.result.simulation.nodes[_FILE].values[solve.result.rows].astype(np.float32).astype(float)
+
+    def deformation(self, model: LimbModel, depth: Array, values: Array) -> SolvedDeformation:
+        """The tissue's deformation at these depths (mm, n), the first of which is 0."""
+        points = IntegrationPoints.of(model.mesh.points, model.mesh.solid_blocks[0])
+        displacement = np.zeros((len(depth), len(model.mesh.points), 3))
+        displacement[1:, self.nodes] = values
+        rest = points.rest.reshape(-1, 3)
+        F = np.array([points.gradients(u) for u in displacement])
+        seen = [
+            self.windows.seen(
+                model, points.places(u).reshape(-1, 3), rest, gradient.reshape(-1, 3, 3), depth=float(d)
+            )
+            for u, gradient, d in zip(displacement, F, depth, strict=True)
+        ]
+        return SolvedDeformation(depth, F, points.rest, points.volume, tuple(seen))
+
+    def _read(
+        self, solve: Solve, kinematics: SolvedDeformation, *, in_window: LimbModel,
+        stiffness: Sequence[Stiffness] = (), without: Sequence[tuple[float, SolvedDeformation]] = (),
+    ) -> Curves:  # fmt: skip
+        """Curves down to the level reached; in_window : the model used for the wave speeds, whose stiffnesses
+        the fields `stiffness` multiply; without : see `strain_concentrations`"""
+        density = self.density_kg_per_m3
+        concentrations = strain_concentrations(
+            in_window, kinematics, without, stiffness, density_kg_per_m3=density
+        )
+        speeds = frozen_speed(
+            in_window, kinematics, stiffness, density_kg_per_m3=density, concentrations=concentrations
+        )
+        return Curves(
+            kinematics.depth, np.concatenate([[0.0], solve.result.must_points.forces]), speeds,
+            self.windows.depths, thickness(solve.model), self._log_lines(solve),
+        )  # fmt: skip
+
+    def _log_lines(self, solve: Solve) -> Array | None:
+        """ln of the lines' depth in mm below the skin (1 + n_depths, n_borders), at rest first."""
+        if self.lines is None:
+            return None
+        lines, moved = material_lines(solve.model, self.lines), solve.result.simulation.nodes[OF_LINES]
+        below = lines.below_skin(lines.of_table(moved)[solve.result.rows][..., 2])
+        return np.log(np.maximum(np.vstack([self.lines, below]), _LEAST_LINE))

@@ -45,11 +45,8 @@ _STALLED = 5.0  # tolerance where contact points chatter, as a multiple of the u
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class SiteModels:
-    """A site's model for any exponent m and effects.
-
-    usual : the model without effects; c : MPa, and f_kappa, of its tissue
-    fingerprint : hash of what else the curves depend on
-    """
+    """A site's model for any exponent m and effects, from the `usual` one without; c : MPa, and f_kappa, of
+    its tissue; fingerprint : hash of what else the curves depend on"""
 
     usual: LimbModel
     c: float
@@ -63,17 +60,14 @@ class SiteModels:
         return applied(tissue, ingredients, waves=waves)
 
     def to_solve(self, m: float, ingredients: Ingredients, times: Sequence[float]) -> LimbModel:
-        """The model made easier to solve, for curves at these times (s).
-
-        With friction, a load step for each time: two change what friction does by 2 % of it.
-        """
+        """The model made easier to solve, for curves at these times (s); with friction by a load step for
+        each: two change what friction does by 2 % of it."""
         model = softer_jumps(self.of(m, ingredients))
         model = replace(model, steps=tuple(replace(each, must_points=tuple(times)) for each in model.steps))
         return fewer_steps(model, len(times)) if model.has_friction else model
 
     def key(self, m: float, ingredients: Ingredients) -> str:
-        """Hash of the exponent and of what the effects make of the model, so that a modified implementation
-        of an effect is solved again."""
+        """Hash of the exponent and of what the effects, as now implemented, make of the model."""
         parts = [
             [effect.name, {k: round(float(v), 9) for k, v in sorted(theta.items())}]
             for effect, theta in ingredients
@@ -91,11 +85,8 @@ def fingerprint(
     model: LimbModel, depths: Sequence[float], *, c: float, f_kappa: float, windows: Windows,
     enough_force: float | None, lines: Array | None, density_kg_per_m3: float,
 ) -> str:  # fmt: skip
-    """Hash of a site's simulations without effects.
-
-    It covers mesh, contact, depths, tissue and its density, the window and the version of its evaluation, the
-    force at which simulations end, the tracked lines, and the program version.
-    """
+    """Hash of a site's simulations without effects: of all that their curves depend on, and of the versions
+    of the program and of the evaluation of speeds."""
     digest = hashlib.sha256(np.ascontiguousarray(model.mesh.points).tobytes())
     digest.update(f"limbcli {__version__}, read {_READING}".encode())
     penalties = [each.penalty for each in model.contacts]
@@ -142,13 +133,11 @@ class SolvedCurves:
 
 
 class SiteSolver:
-    """Solver of one site's models.
+    """Solver of one site's models. Those that differ from the usual one in their materials only share a
+    session.
 
-    Models that differ from the usual one in their materials only share a session. Levels of the model without
-    effects are initial guesses for all; those of the last solve with the same effects, for a fit's repeated
-    solves.
-
-    times : s, of the load steps, by depth in mm
+    Levels of the model without effects are initial guesses for all; those of the last solve with the same
+    effects, for a fit's repeated solves. times : s, of the load steps, by depth in mm
     """
 
     def __init__(

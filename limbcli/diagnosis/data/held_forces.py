@@ -100,11 +100,9 @@ def fall(force: Array, windows: IntArray) -> Array:
 
 
 def held_forces(trace: Trace, levels: Levels) -> tuple[HeldForces | None, str]:
-    """Force ratios of the holds of a record, or None and the reason why there are none.
-
-    Without a recorded depth, the holds are matched to the levels and used only if the force
-    falls in them: a constant force may have been regulated by hand.
-    """
+    """Force ratios of the holds of a record, or None and the reason why there are none. Without a recorded
+    depth, holds are matched to the levels and must show a falling force, as a constant one may have been
+    regulated."""
     time = np.arange(trace.time[0], trace.time[-1], STEP_S)
     if len(time) * STEP_S < _LEAST_HOLD_S:
         return None, "the record is shorter than one hold"
@@ -166,10 +164,7 @@ def _binned(at: Array, values: Array, grid: Array) -> Array:
 
 
 def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels, n: int) -> Array | None:
-    """Depth (n,) on the grid, with each hold at its level's depth; None if their numbers do not match.
-
-    The hold of the first level may be missing.
-    """
+    """Depth (n,) on the grid by each hold's level (the first may be missing); None if they do not match."""
     wanted = levels.depth[np.isfinite(levels.depth)]
     if len(holds) == len(wanted) - 1 and float(np.mean(force[slice(*holds[0])])) > 0.5 * levels.force[1]:
         wanted = wanted[1:]
@@ -180,8 +175,7 @@ def _depth_of_levels(holds: list[tuple[int, int]], force: Array, levels: Levels,
 
 
 def _windows(holds: list[tuple[int, int]], force: Array) -> tuple[IntArray, Array]:
-    """Windows (n_features, 2, 2), consecutive periods of a hold, and the mean force (n_features,) of their
-    holds."""
+    """Consecutive periods of the holds (n_features, 2, 2), and their holds' mean force (n_features,)."""
     windows, means = [], []
     for a, b in holds:
         mean = float(np.mean(force[a:b]))
@@ -217,13 +211,9 @@ def _with_next(windows: IntArray) -> NDArray[np.bool_]:
 
 
 def _covariance(trace: Trace, windows: IntArray, force: Array, moving: Array | None) -> Array:
-    """Covariance (n_features, n_features) of the ln force ratios.
-
-    From the scatter of the force samples, that of the depth samples times the stiffness, and the floor. Two
-    successive ratios share a window.
-
-    moving : the recorded depth on the grid; movement within a hold adds to the uncertainty
-    """
+    """Covariance (n_features, n_features) of the ln force ratios, of which two successive ones share a
+    window: scatter of the force samples, of the depth samples and of movement (`moving`, the recorded depth
+    on the grid) times the stiffness, and the floor."""
     rate = 1.0 / float(np.median(np.diff(trace.time)))
     samples = np.maximum((windows[:, :, 1] - windows[:, :, 0]) * STEP_S * rate, 1.0)
     of_samples = (_scatter(trace.force) / force[:, None]) ** 2 / samples

@@ -12,10 +12,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.rows import LAYER, TRAVEL_DEVIATION, SiteReadings, SiteRows, SmoothDepth, within
+from limbcli.diagnosis.data.windows import Windows, pitch_of
 from limbcli.diagnosis.explanations.noise import NoisePart, common, correlated, independent, of_groups
 from limbcli.effects.reading import Protocol
-from limbcli.measurement.map_noise import PixelNoise
+from limbcli.measurement.elastography import SweMap
+from limbcli.measurement.map_noise import PixelNoise, pixel_noise
 from limbcli.model import Array, IntArray
 from limbcli.site_model.layer_readings import LayerReadings
 
@@ -76,11 +79,10 @@ class ModelError:
 class KnownErrors:
     """What is known of how far a site's model is off.
 
-    errors : for all rows of the level table; map_share : factor on the usual model error in maps
-    map_slopes : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth
-    thickness : mm, skin to bone
-    bone_as_shown : the models' bone was placed where the image showed it, so that a wrong speed of sound
-    misplaces both
+    errors : for all rows of the level table; map_share : factor on the usual model error in maps; map_slopes
+        : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth; thickness : mm, skin to bone
+    bone_as_shown : the models' bone is where the image showed it, so that a wrong speed of sound misplaces
+        both
     """
 
     errors: Sequence[ModelError] = ()
@@ -104,9 +106,15 @@ class MapNoise:
     pixel: PixelNoise
     strain: Array
 
+    @staticmethod
+    def of(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
+        lateral, depth = (np.concatenate([getattr(m, name) for m in maps]) for name in ("lateral", "depth"))
+        size = (windows.right - windows.left) / windows.across, (windows.bottom - windows.top) / windows.down
+        pixel = pixel_noise(maps, usual=noise.swe_pixel_fraction)
+        return MapNoise(windows.middles, size, (pitch_of(lateral), pitch_of(depth)), pixel, strain)
+
     def of_pixels(self, rows: SiteRows, own: Array) -> Array:
-        """Covariance (n, n) of the parts from pixel noise; own (n,) : standard deviations if the pixels were
-        independent."""
+        """Covariance (n, n) of the parts; own (n,) : standard deviations if their pixels were independent."""
         sides = [
             _side_correlation(self.pixel, np.subtract.outer(at, at), size, pitch)
             for at, size, pitch in zip(self.middles.T, self.size, self.pitch, strict=True)
@@ -141,10 +149,9 @@ class MapNoise:
 def maps_model_error(
     middles: Array, part: IntArray, strain: Array, level: IntArray, *, share: float = 1.0
 ) -> Array:
-    """Covariance (n, n) of ln speeds in parts of maps from the model error.
-
-    middles (n_parts, 2) : mm, lateral and below the face; part, level (n,) : indices of each datum
-    strain (n,) : depth over thickness; share : factor on its usual size
+    """Covariance (n, n) of ln speeds in parts (n,) of maps at levels (n,) from the model error; middles
+    (n_parts, 2) : mm, lateral and below the face; strain (n,) : depth over thickness; share : on its usual
+    size
     """
     x, z = middles[part].T
     size = _BELOW_FACE * (_EVERYWHERE + np.exp(-(z - middles[:, 1].min()) / _FADES_MM))
@@ -234,11 +241,8 @@ def depth_slopes(
     layers: LayerReadings | None = None,
 ) -> Array:  # fmt: skip
     """Derivative of each datum with depth (n,), from smooth curves through the measured values; for parts of
-    maps from a model, `map_slopes` (n_levels, n_parts), where given.
-
-    Depth and speeds are fitted as functions of the force, which has little error: regression over a depth
-    with errors would underestimate steep slopes. Layers thin linearly in ln(1 + F/unit) of the smooth depth.
-    """
+    maps from a model, `map_slopes`, where given. Depth and speeds are fitted as functions of the force, which
+    has little error; layers thin linearly in ln(1 + F/unit) of the smooth depth."""
     out = np.zeros(len(rows))
     smooth = SmoothDepth.through(protocol)
     for channel in rows.channels():

@@ -10,7 +10,6 @@ from itertools import pairwise
 import numpy as np
 from scipy.linalg import block_diag
 
-from limbcli.case import StatedNoise
 from limbcli.diagnosis.data.noise_parts import (
     GAIN_OF_SPEEDS,
     STRAIN,
@@ -27,13 +26,11 @@ from limbcli.diagnosis.data.rows import (
     SmoothDepth,
     measured_rows,
 )
-from limbcli.diagnosis.data.windows import Windows, pitch_of
+from limbcli.diagnosis.data.windows import Windows
 from limbcli.diagnosis.explanations.forward_model import Data, Mask
 from limbcli.diagnosis.explanations.noise import ASSUMED, Noise, NoisePart, common
 from limbcli.effects.curves import Curves, depth_at, force_at
 from limbcli.effects.reading import Protocol, Reading, Readout, borne_at_zero, read, relaxed, true_depth
-from limbcli.measurement.elastography import SweMap
-from limbcli.measurement.map_noise import pixel_noise
 from limbcli.model import Array, IntArray
 
 _STRAIN_STEP = 0.01  # relative step of the derivative with respect to all strains
@@ -82,12 +79,9 @@ class SiteData:
         return replace(self, data=replace(self.data, noise=self.data.noise.with_share(name, share)))
 
     def with_strain_of(self, curves: Curves, reading: Reading) -> SiteData:
-        """The data with the error common to all strains along the derivative of these curves.
-
-        Its size is unchanged. The slopes of smooth curves through the readings, from which it was first
-        computed, differ from a model's by up to a tenth: in many parts of maps, a common factor of all depths
-        would be found by that difference.
-        """
+        """The data with the error common to all strains along the derivative of these curves, of unchanged
+        size. The slopes of smooth curves through the readings, by which it was first computed, differ from a
+        model's by up to a tenth: many parts of maps would find a factor of all depths by that."""
         part = next((each for each in self.data.noise.parts if each.name == STRAIN), None)
         by_depth = self.slope * self.protocol.depth[self._levels]
         first = np.where(self.rows.among("travel"), 0.0, by_depth)
@@ -137,12 +131,10 @@ class SiteData:
 
     @cached_property
     def _to_smooth(self) -> Array:
-        """Distance (n_levels,) in mm from the depth read to that of a smooth curve through the readings.
-
-        At the depths as they were read, maps of a tissue whose speeds rise steeply would be off by more than
-        the noise model allows for, and a fit would find less of what makes them steep: guided waves in thin
-        tissue of half their size. Limited as `_further`; 0 in unloading and with few levels.
-        """
+        """Distance (n_levels,) in mm from the depth read to that of a smooth curve through the readings,
+        limited as `_further`; 0 in unloading and with few levels. At the depths read, maps whose speeds rise
+        steeply would be off by more than the noise model allows, and a fit would find less of what makes them
+        steep."""
         found = np.zeros(len(self.protocol))
         loading = ~np.array(self.protocol.unloading or np.zeros(len(found)), dtype=bool)
         if loading.sum() < FEWEST_SMOOTH or self.seen.noise.depth <= 0:
@@ -161,10 +153,8 @@ class SiteData:
         return np.where(self.rows.level < len(self.protocol), self.rows.level, 0)
 
     def _further(self, curves: Curves, reading: Reading) -> Array:
-        """Distance (n_levels,) in mm from the depth read to that at which the model has the measured force.
-
-        Limited to `_DEPTH_OUTLIER_SD` standard deviations of the depth.
-        """
+        """Distance (n_levels,) in mm from the depth read to where the model has the measured force, limited
+        to `_DEPTH_OUTLIER_SD` standard deviations of the depth."""
         found = np.zeros(len(self.protocol))
         if self.seen.noise.depth <= 0:
             return found
@@ -213,7 +203,7 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
     smooth, rows = SmoothDepth.through(protocol), measured_rows(seen)
     slope = depth_slopes(protocol, rows, map_slopes=model.map_slopes, layers=seen.layers)
     strain = smooth.at(protocol.force) / model.thickness
-    of_maps = None if seen.maps is None else map_noise(windows, seen.maps, noise, strain)
+    of_maps = None if seen.maps is None else MapNoise.of(windows, seen.maps, noise, strain)
     parts = noise_parts(seen, rows, slope, maps=of_maps, model=model)
     data = Data(
         rows.y, tuple(rows.channel.tolist()), rows.level.astype(float), Noise(tuple(parts), noise.source),
@@ -222,16 +212,6 @@ def site_data(name: str, seen: SiteReadings, model: KnownErrors = KnownErrors())
         place=_place(rows, windows),
     )  # fmt: skip
     return SiteData(name=name, seen=seen, model=model, rows=rows, data=data, slope=slope)
-
-
-def map_noise(windows: Windows, maps: Sequence[SweMap], noise: StatedNoise, strain: Array) -> MapNoise:
-    """Noise of the parts of these maps; strain (n_levels,): depth over thickness."""
-    pitch = tuple(
-        pitch_of(np.concatenate([getattr(each, name) for each in maps])) for name in ("lateral", "depth")
-    )
-    size = (windows.right - windows.left) / windows.across, (windows.bottom - windows.top) / windows.down
-    pixel = pixel_noise(maps, usual=noise.swe_pixel_fraction)
-    return MapNoise(windows.middles, size, (pitch[0], pitch[1]), pixel, strain)
 
 
 def _groups(rows: SiteRows, protocol: Protocol, windows: Windows) -> dict[str, Mask]:

@@ -87,10 +87,8 @@ class Windows:
         return np.asarray(np.abs(self.middles[:, 0]) < _INNER_MM)
 
     def without_spikes(self, ln_speed: Array) -> Array:
-        """ln speeds (n, 1 + n_parts) with a 3 x 3 median filter over the parts; the whole is unchanged.
-
-        A change between meshes in a single part, but not in its neighbours, is discretisation error.
-        """
+        """ln speeds (n, 1 + n_parts) with the parts median-filtered (3 x 3): a change between meshes in a
+        single part, but not in its neighbours, is discretisation error."""
         parts = ln_speed[:, 1:].reshape(-1, self.down, self.across)
         smooth = median_filter(parts, size=(1, 3, 3), mode="nearest")
         return np.column_stack([ln_speed[:, 0], smooth.reshape(len(ln_speed), -1)])
@@ -141,8 +139,7 @@ class Windows:
         return ScannerView(averages, Places(blurred, model), weight, self.log_means_of)
 
     def log_means_of(self, speed_m_per_s: Array) -> Array:
-        """ln of the mean speed of the whole and of every part (..., 1 + n_parts), from speeds at `pixels`
-        (..., n_pixels)."""
+        """ln mean speed of the whole and of every part (..., 1 + n_parts), from speeds at `pixels`."""
         table = speed_m_per_s.reshape(*speed_m_per_s.shape[:-1], self.n_parts, -1)
         known = np.isfinite(table) & (table > 0)  # a linear fit through few elements may be negative
         counts = known.sum(axis=-1)
@@ -179,10 +176,8 @@ class Windows:
         return np.asarray(np.where(inside, row * self.across + column, -1))
 
     def log_means(self, swe: SweMap) -> tuple[Array, Array]:
-        """ln of the mean speed and the pixel count of the whole and every part: (1 + n_parts,) each.
-
-        NaN where too few of a part's pixels were read, as at the edge of bone.
-        """
+        """ln of the mean speed and the pixel count of the whole and every part, (1 + n_parts,) each; NaN
+        where too few of a part's pixels were read, as at the edge of bone."""
         part = self.part_of(swe.lateral, swe.depth)
         inside = part >= 0
         counts = np.bincount(part[inside], minlength=self.n_parts)
@@ -205,8 +200,7 @@ def _log_mean(total: Array, counts: IntArray) -> Array:
 
 
 def _along_side(at: Array, low: float, high: float, n_parts: int) -> IntArray:
-    """Index along one side of the part that each position lies in; a position on a border belongs to the next
-    part, within rounding error."""
+    """Part along one side that each position lies in; on a border, within rounding, the next one."""
     return np.asarray(np.floor((at - low) / (high - low) * n_parts + _ROUNDED).astype(np.int64))
 
 

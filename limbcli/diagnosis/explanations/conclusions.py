@@ -36,8 +36,7 @@ class BlindSpot:
 
     visible_fraction : |P H| / |H|, the share of its signature that the fitted parameters cannot reproduce
     detectable_times_typical : the size detected with 80 % power, in units of the typical size
-    bias_sd : by base parameter, the bias from an undetected effect of typical size, in
-        standard deviations; bias_percent : the same in per cent (the parameters are logarithms)
+    bias_sd, bias_percent : of each base parameter by the undetected effect, in deviations and per cent
     """
 
     name: str
@@ -53,8 +52,7 @@ class BlindSpot:
 
     @property
     def matters(self) -> bool:
-        """Whether an effect of typical size would be undetected and bias a parameter by more than one
-        standard deviation."""
+        """Whether a typical effect would be undetected and bias a parameter by more than a deviation."""
         return self.is_undetectable and any(
             abs(each) > decisions.BIAS_MATTERS_SD for each in self.bias_sd.values()
         )
@@ -63,9 +61,7 @@ class BlindSpot:
 def blind_spot(
     name: str, added: Added, typical: Array, nothing: Posterior, whiten: Whitener, *, ln_factor: float
 ) -> BlindSpot:
-    """
-    added : the effect at one point of its grid; typical : (q,) distance from the null value
-    nothing : the fit without effects; whiten : as that of `added`
+    """The effect `added` at one point of its grid, of typical size (q,), beside the fit without effects;
     ln_factor : Bayes factor at which the model is no longer adequate
     """
     moved, seen = added.columns @ typical, added.seen @ typical
@@ -102,11 +98,8 @@ def _detectable(information: float, prior: float, ln_factor: float) -> float:
 
 @dataclass(frozen=True, kw_only=True)
 class NextStep:
-    """One proposal.
-
-    information_bits : expected fall of the entropy over the compared explanations; entropy_bits : before it
-    expected_probability : of the true explanation afterwards, on average; before : as things stand
-    """
+    """One proposal: expected fall of the entropy over the compared explanations, and the entropy before it;
+    expected probability of the true explanation afterwards, and as things stand (`before`)."""
 
     name: str
     sentence: str
@@ -129,8 +122,7 @@ def ranked(
 
 
 def _expected(several: Sequence[Explained], proposal: Proposal, rng: np.random.Generator) -> NextStep:
-    """The predictive distribution of a member is normal: the measurement's noise, and what the data leave of
-    its parameters."""
+    """What a member predicts is normal: by the measurement's noise and its parameters' covariance."""
     weights = np.array([each.probability for each in several])
     weights = weights / weights.sum()
     means, roots = [], []
@@ -165,12 +157,9 @@ def _ln_density(drawn: Array, mean: Array, root: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Shrink:
-    """Goodness of fit at one stage of the model, from the base to the full explanation.
-
-    rms : by channel, of residual / standard deviation; held_out : by block, and "all" over the blocks that
-    every stage predicts; estimates : parameters with their intervals; chi2, rms and held_out are those of the
-    best fit
-    """
+    """Goodness of fit at one stage of the model, from the base to the full explanation: of the best fit, by
+    channel the rms of residual / standard deviation, and held_out by block, "all" over those that every stage
+    predicts."""
 
     explanation: Explanation
     chi2: float
@@ -190,14 +179,12 @@ class Diagnosis:
 
     relative : the noise level is unknown (assumed, or contradicted by the scatter)
     nothing, adequate_from : probability that nothing is missing, against all single effects, and the value
-    that 95 % of the measurements with nothing missing exceed
-    explanations : all, the most probable first; confidence_set : those that together have 95 %
-    effects : probability of each effect, over all explanations
-    chosen : the explanation added to the model (empty if none)
+        that 95 % of the measurements with nothing missing exceed
+    explanations : the most probable first; confidence_set : those that together have 95 %; effects :
+        probability of each over all; chosen : what was added to the model (empty if nothing)
     check, left : of the fit without effects, and of the most probable explanation
-    not_evaluated : candidate -> reason
     sizes : by effect and parameter, the 95 % interval of its value when it alone is added
-    common_errors : by fitted explanation, what its fit makes of the unknowns that many data have in common
+    common_errors : by fitted explanation, the unknowns that many data have in common
     """
 
     verdict: Word

@@ -48,11 +48,9 @@ class Estimates:
 
 
 def estimates(several: Sequence[tuple[float, Posterior]], *, imaged: bool = True) -> Estimates:
-    """Estimates over explanations, each with its weight; sizes of the effects of the first one, over those
-    that have them. Its values are reported of what has no posterior of its own.
-
-    imaged : whether there are maps among the data
-    """
+    """Estimates over explanations, each with its weight, of c and m, and of the sizes of the first one's
+    effects, over those that have them; what has no posterior is as in the first. imaged : there are maps
+    among the data"""
     fitted = several[0][1].fitted
     values, intervals, open_ends = dict(fitted.values), {}, {}
     for k, letter in enumerate(fitted.base_names):
@@ -84,11 +82,9 @@ def _size(weight: float, found: Posterior, name: str) -> Truncated:
 def sizes_95(
     alone: Mapping[Explanation, Posterior], linear: LinearEvidence
 ) -> dict[str, dict[str, tuple[float, float]]]:
-    """95 % interval of every size of an effect when it alone is added to the model.
-
-    From its fit, and to first order at the other points of its grid, weighted by their evidence: where an
-    effect is absent, the most probable point is a matter of chance.
-    """
+    """95 % interval of every size of an effect when it alone is added: from its fit, and to first order at
+    the other points of its grid, by their evidence: of an absent effect the most probable point is a matter
+    of chance."""
     found: dict[str, dict[str, tuple[float, float]]] = {}
     for name, points in linear.added.items():
         fit, best = alone.get((name,)), linear.best(name)

@@ -24,10 +24,8 @@ class Data:
     """The measured data, stacked into one vector.
 
     y : (n,); channel : of every datum; order : (n,) position along its channel (level number)
-    groups : name -> (n,) bool, the parts tested to localise a misfit (channel, site, third of the levels ...)
-    blocks : name -> (n,) bool, the parts to be held out
-    series : of every datum, the series of levels it belongs to (a channel, one part of its maps); empty: the
-    channel
+    groups, blocks : name -> (n,) bool, the parts tested to localise a misfit, and those to be held out
+    series : of every datum, the levels it belongs to (a channel, one part of its maps); empty: the channel
     place : (n, 2) mm in an image, NaN for data without a position in an image
     """
 
@@ -82,11 +80,8 @@ class Prior:
 
 @dataclass(frozen=True, eq=False)
 class Direction:
-    """Sensitivities `columns` (n, q), not whitened, to the sizes of an effect at its null value.
-
-    priors : of these sizes, by name, about the null values; point : name of the point of the effect's grid;
-    at : initial values of the fitted grid parameters there
-    """
+    """Sensitivities `columns` (n, q), not whitened, to the sizes of an effect at its null value, whose priors
+    are by name; point : of the effect's grid; at : initial values of the fitted grid parameters there"""
 
     columns: Array
     priors: Mapping[str, Prior]
@@ -98,12 +93,10 @@ class Direction:
 class Priors:
     """Priors of all fitted parameters, about the values that were fitted.
 
-    precision : (p,) reciprocal variance. Of a uniform prior, that of the normal distribution with the same
-    height
-        in its middle: a parameter that the data do not determine then neither gains nor loses probability.
-    shift : (p,) mean less fitted value; 0 where the prior is uniform
-    low, high : (p,) limits less fitted value
-    is_normal : (p,) mask; the others are uniform
+    precision : (p,) reciprocal variance; of a uniform prior, that of the normal one with the same height in
+        its middle: a parameter that the data do not determine then neither gains nor loses probability
+    shift : (p,) mean less fitted value, 0 where uniform; low, high : (p,) limits less fitted value; is_normal
+        : (p,)
     """
 
     precision: Array
@@ -131,16 +124,15 @@ class Priors:
 class Fitted:
     """A model fitted to the data, with some effects in it.
 
-    prediction : (n,); jacobian : (n, n_base + n_effect_parameters), the base parameters
-    first (in logs), then the effects' in the order of the explanation
-    values : of all parameters by name; at_bound : by parameter, a message where it ended on a bound of
-    the physically possible range
-    point : of the effects' grids
+    prediction : (n,); jacobian : (n, p) by the base parameters (in logs), then the effects' in the order of
+        the explanation, as are the priors
+    values : of all parameters by name; at_bound : a message for those that ended on a bound of what is
+        possible
+    point : of the effects' grids; ln_points : ln of the mean likelihood over these, relative to that of this
+        one
     without : (n,) prediction without the effects whose form is only approximate; None if there are none
-    priors : of the parameters, in the order of the Jacobian's columns
-    ln_points : ln of the mean likelihood over the effects' grid points, relative to that of the chosen one
-    amplification : (n,) how many times an error of the model shows in each datum; None: once. Near the
-    cut-off of guided waves, an error of the tissue's speed shows several times
+    amplification : (n,) how many times an error of the model shows in each datum, as near the cut-off of
+        guided waves; None: once
     """
 
     explanation: Explanation
@@ -173,11 +165,10 @@ class Scalable:
 
 @dataclass(frozen=True)
 class Facts:
-    """Description of a candidate effect.
+    """A candidate effect.
 
     typical : by parameter, a plausible size as distance from the null value (for blind spots)
-    simulated : True if its effect is obtained from a simulation that includes it, False if from the
-    simulations without it
+    simulated : whether what it does is obtained from a simulation that includes it
     """
 
     name: str

@@ -137,11 +137,10 @@ def _distribution(several: Sequence[Truncated]) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Evidence of one explanation, and its parameters' distribution about the fit.
+    """Evidence of one explanation, but for a constant of the data, and its parameters' distribution about the
+    fit.
 
-    ln_evidence : but for a constant common to all explanations of the same data
-    step, covariance : (p,), (p, p) mean of the parameters less the fitted values, and their covariance, both
-    without the limits
+    step, covariance : (p,), (p, p) mean less the fitted values, and covariance, both without the limits
     chi2 : of the residual at the fit; shares : of the scalable errors; level : factor on all noise
     """
 
@@ -169,11 +168,8 @@ def posterior(
     fitted: Fitted, y: Array, noise: Noise, scalable: Sequence[Scalable] = (), *, form: Array | None = None,
     relative: bool = False,
 ) -> Posterior:  # fmt: skip
-    """The posterior of a fit to the data y (n,).
-
-    form (n, n) : covariance of the error of the effects' own form; relative : the level of the noise is
-    unknown
-    """
+    """The posterior of a fit to the data y (n,); form (n, n) : covariance of the error of the effects' own
+    form; relative : the level of the noise is unknown"""
     noise = noise.amplified(fitted.amplification)
     known = {each.name: each for each in scalable if each.name in noise.names}
     scaled = {part.name: part.covariance for part in noise.parts if part.name in known}
@@ -207,10 +203,8 @@ def posterior(
 
 
 def _largest(along: Callable[[float], Posterior], first: Posterior, low: float, high: float) -> Posterior:
-    """The posterior with the largest evidence between two values of one unknown, from the known one at 0.
-
-    Steps up or down while the evidence rises, then the summit of the parabola through the best three.
-    """
+    """The posterior with the largest evidence between two values of one unknown, from the known one at 0, by
+    steps while the evidence rises, then the summit of the parabola through the best three."""
     found = {0.0: first}
 
     def value(x: float) -> float:
@@ -236,8 +230,7 @@ def _largest(along: Callable[[float], Posterior], first: Posterior, low: float, 
 def gaussian(
     fitted: Fitted, r: Array, J: Array, ln_root: float, shares: Mapping[str, float], level: float
 ) -> Posterior:
-    """The posterior from the whitened residual r (n,) and sensitivities J (n, p); ln_root : half ln det
-    Sigma."""
+    """The posterior from whitened residual r (n,) and sensitivities J (n, p); ln_root : ln det Sigma / 2"""
     priors = fitted.priors
     A = J.T @ J + np.diag(priors.precision)
     pull = J.T @ r + priors.precision * priors.shift

@@ -77,11 +77,10 @@ class Added:
 
 @dataclass(frozen=True, eq=False)
 class LinearEvidence:
-    """Bayes factors of one effect more about a fit.
+    """Bayes factors of one effect more about a fit, from one `Added` for each point of each effect's grid.
 
-    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: at the fit, what
-        their priors hold back would count as the effect's
-    added : by effect, one `Added` for each point of its grid
+    residual : (n,) whitened, with the fitted parameters extrapolated to their prior means: what their priors
+        hold back at the fit would count as the effect's
     """
 
     residual: Array
@@ -104,8 +103,7 @@ class LinearEvidence:
         )
 
     def ln_factor(self, name: str, residual: Array | None = None) -> Array:
-        """ln Bayes factor (n_draws,), averaged over the effect's grid; residual (n_draws, n): draws in place
-        of the data."""
+        """ln Bayes factor (n_draws,), averaged over the effect's grid; residual : draws instead of data."""
         drawn = self.residual[None] if residual is None else residual
         table = np.array([each.ln_factor(drawn) for each in self.added[name]])
         return np.asarray(np.logaddexp.reduce(table, axis=0) - np.log(len(table)))
@@ -115,8 +113,7 @@ class LinearEvidence:
         return max(self.added[name], key=lambda each: float(each.ln_factor(self.residual[None])[0]))
 
     def start(self, names: Sequence[str]) -> dict[str, float]:
-        """Sizes to start a fit with these effects from, as distances from null, and the fitted grid
-        values."""
+        """Sizes (distances from null) and fitted grid values from which a fit with these effects starts."""
         several = [self.best(name) for name in names]
         both = several[0] if len(several) == 1 else several[0].beside(several[1])
         mean = np.clip(both.sizes(self.residual[None])[0], both.low, both.high)
@@ -134,13 +131,9 @@ class LinearEvidence:
 
 
 def least_by_chance(linear: LinearEvidence, ln_odds: float, rng: np.random.Generator) -> float:
-    """Probability of "nothing" against all single effects, below which a share `FALSE_ALARMS` of draws lies.
-
-    The draws are of the noise about the fit without effects, in the linear model that each effect is to first
-    order: no simulation is needed. 0 if there are no effects.
-
-    ln_odds : prior odds of a single effect over nothing
-    """
+    """Probability of "nothing" against all single effects (`ln_odds` : of one over nothing), below which a
+    share `FALSE_ALARMS` of draws lies: of the noise about the fit without effects, to first order. 0 without
+    effects."""
     if not linear.added:
         return 0.0
     drawn = unit_errors(rng, (decisions.N_DRAWS, len(linear.residual)))

@@ -46,12 +46,9 @@ class LinearFit:
 
     @staticmethod
     def of(residual: Array, jacobian: Array, *, as_it_stands: bool = False) -> LinearFit:
-        """
-        as_it_stands : judge the fit at the point where it stopped. If a further linear step along J would
-            reduce chi2 by more than one, that direction is removed from the span. The fit was stopped by a
-            prior, a bound, or a kink in the model, where the derivatives are those of neither side; following
-            the derivatives would assume implausible sizes.
-        """
+        """The fit, or with `as_it_stands` that where it stopped: if a linear step along J would reduce chi2
+        by more than one, that direction is removed from the span. A prior, a bound, or a kink in the model
+        stopped the fit, and following the derivatives would assume implausible sizes."""
         length = np.linalg.norm(jacobian, axis=0)
         u, s, _ = np.linalg.svd(jacobian / np.where(length > 0, length, 1.0), full_matrices=False)
         basis = u[:, s > _RANK * np.max(s, initial=1e-300)]

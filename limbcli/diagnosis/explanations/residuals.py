@@ -107,8 +107,7 @@ def _statistics(
 
 
 def _base(data: Data, mask: Mask, state: LinearFit, whiten: Whitener) -> Array:
-    """Orthonormal basis (n, rank) of the shifts of a part's data that the fitted parameters cannot
-    reproduce."""
+    """Orthonormal basis (n, rank) of the shifts of a part's data that no fitted parameter reproduces."""
     shifts = np.eye(len(mask))[:, mask] if mask.sum() <= _FEW_DATA else _even(data, mask)
     seen = state.project(whiten(shifts))
     return np.asarray(orth(seen, rcond=_RCOND)) if np.any(seen) else np.zeros((len(mask), 0))
@@ -131,11 +130,8 @@ def _scaled(values: Array, mask: Mask) -> Array:
 
 @dataclass(frozen=True)
 class Roughness:
-    """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated), p of this much or more.
-
-    p is of the sum of squares of heavy-tailed errors, approximated by a scaled chi2 (Satterthwaite) of mean
-    nu and variance 2 nu + excess sum P_ii^2.
-    """
+    """Scatter about a quartic along each series: ratio = chi2/nu (1: as stated); p of this much or more, of
+    heavy-tailed errors, by a scaled chi2 (Satterthwaite) of mean nu and variance 2 nu + excess sum P_ii^2."""
 
     ratio: float
     p: float
@@ -144,8 +140,7 @@ class Roughness:
 def roughness(
     state: LinearFit, whiten: Whitener, *, series: Mapping[str, Mask], order: Array
 ) -> Roughness | None:
-    """Compare the rough part of the residual with the stated noise; None if fewer than `_LEAST_NU` degrees of
-    freedom remain."""
+    """The residual's rough part over the stated noise; None below `_LEAST_NU` degrees of freedom."""
     n = len(order)
     columns = [state.jacobian]
     for mask in series.values():
@@ -163,15 +158,13 @@ def roughness(
 
 
 def held_out_error(data: Data, fitted: Fitted) -> dict[str, float]:
-    """Root-mean-square prediction error of held-out data, block by block and over all blocks.
+    """Root-mean-square prediction error of held-out data, block by block and over all, in units of the
+    noise's conditional standard deviation given the other data.
 
-    In units of the noise's conditional standard deviation given the other data.
-
-    Each block is left out in turn, all parameters (including the effects') are refitted to the other data to
-    first order about the full fit, and the block is predicted. The prediction includes the expected value of
-    errors that the block shares with the other data: a model cannot predict the gain of a level or a scanner.
-    A block is skipped if it contains the data that determine a parameter, so that its prediction from the
-    other data is less precise than its readings (`_TOO_WIDE`).
+    Each block is left out in turn, all parameters are refitted to first order about the full fit, and the
+    block is predicted with the expected value of errors that it shares with other data: a model cannot
+    predict the gain of a level or a scanner. A block that holds the data that determine a parameter, so that
+    its prediction is less precise than its readings (`_TOO_WIDE`), is skipped.
     """
     J = fitted.jacobian[:, np.any(fitted.jacobian != 0.0, axis=0)]  # without parameters fixed on a bound
     J = J / np.linalg.norm(J, axis=0)
@@ -251,13 +244,12 @@ class ForceJump:
 
 
 def force_jump(data: Data, base: Fitted, *, explained: float) -> ForceJump | None:
-    """The jump that explains the misfit best; None if it explains little, or less than the chosen effects.
+    """The jump that explains the misfit of the fit without effects (`base`) best, to first order; None if it
+    explains little, or less than the chi2 `explained` by the chosen effects. Not of several measurements
+    together.
 
-    base : the fit without effects; explained : chi2 by which the chosen effects reduce its misfit
-
-    To first order in the base parameters; not of several measurements together. The place of a jump is chosen
-    among those between all levels: its p is multiplied by their number, and 2 ln(their number) is taken off
-    its chi2.
+    Its place is chosen among those between all levels: its p is multiplied by their number, and 2 ln(their
+    number) is taken off its chi2.
     """
     whiten = data.noise.whitener
     fit = base.whitened(data.y, whiten)

@@ -112,11 +112,8 @@ def credible(several: Sequence[Explained]) -> list[Explained]:
 
 
 def named(several: Sequence[Explained]) -> Explanation:
-    """The most probable explanation that has, with those that contain it, the probability `CREDIBLE`; none if
-    there is no such one. It must be likely itself: of two effects that both show, neither is named alone.
-
-    several : the most probable first
-    """
+    """The most probable explanation that is likely itself and has, with those that contain it, the
+    probability `CREDIBLE`; else none: of two effects that both show, neither is named alone."""
     for each in several:
         likely = each.probability > decisions.UNSETTLED
         if each.explanation and likely and containing(each.explanation, several) >= decisions.CREDIBLE:
@@ -129,8 +126,8 @@ class Search:
     """Explanations of one data set.
 
     known : posteriors of what was fitted; settled : what needs no further fit or simulation
-    linear : linear evidence of one effect more, about the fits of some explanations
-    relative : the noise level is estimated in every explanation
+    linear : evidence of one effect more, about the fits of some explanations; relative : the noise level is
+        estimated
     """
 
     forward_model: ForwardModel
@@ -228,8 +225,7 @@ class Search:
         return sorted(found, key=lambda one: (-one.probability, len(one.explanation)))
 
     def _of_pairs(self, names: Sequence[str]) -> dict[Explanation, float]:
-        """Linear estimates: about the more probable of the fits of its two effects, where that was
-        linearised; else about the fit without effects."""
+        """Linear estimates about the likelier linearised fit of a pair's effects, else about that without."""
         nothing = self.known[()].ln_evidence
         found: dict[Explanation, float] = {}
         for pair in itertools.combinations(names, 2):

@@ -38,10 +38,8 @@ def percent(probability: float) -> str:
 
 
 def sentences(found: Diagnosis) -> list[str]:
-    """Summary lines, at most eight, in the order of a reader's questions.
-
-    Verdict, fit, where and what, explanations, reduction of the residual, undetectable effects, next
-    measurement, candidates not evaluated.
+    """Summary lines, at most eight, in the order of a reader's questions: verdict, fit, where and what,
+    explanations, reduction of the residual, undetectable effects, next measurement, candidates not evaluated.
     """
     lines = [
         f"{_verdict(found)} Why: {found.reason}.",
@@ -194,8 +192,7 @@ def _next(found: Diagnosis) -> str:
 
 
 def recommended(found: Diagnosis) -> NextStep | None:
-    """The next measurement with the largest expected information, if that is worth recommending; else
-    None."""
+    """The next measurement with the largest expected information, if worth recommending; else None."""
     best = found.next_steps[0] if found.next_steps else None
     return best if best is not None and best.information_bits > _LEAST_BITS else None
 

@@ -49,13 +49,8 @@ def diagnose(
     forward_model: ForwardModel, *, max_effects: int = 2, seed: int = 7, propose: bool = True,
     progress: Progress = SILENT,
 ) -> Diagnosis:  # fmt: skip
-    """Diagnose one forward model. Deterministic for a given seed.
-
-    Raises
-    ------
-    LimbError
-        If the base model itself cannot be fitted.
-    """
+    """Diagnose one forward model. Deterministic for a given seed. Raises LimbError if the base model itself
+    cannot be fitted."""
     return _Run(forward_model, max_effects, seed, propose, progress).run()
 
 

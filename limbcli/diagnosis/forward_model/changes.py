@@ -40,11 +40,9 @@ Change = Callable[[Theta], Array]  # of ln force and ln speed (`logs`), at value
 def _two_sided(p: Parameter, there: Array, other: Array) -> Callable[[float], Array]:
     """Change by a two-sided parameter from those at its start value and as far on the other side of null.
 
-    Their odd and even parts are proportional to the distance from null; the even part, caused by whichever
-    edge touches first, is smoothed about null.
-
-    On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10 degrees) ln force at 7 of 39 mm changes
-    by -0.038, -0.010 and -0.079: in proportion -5 would be +0.038, and 10 by a parabola -0.100.
+    Their odd and even parts are proportional to the distance from null; the even part, of whichever edge
+    touches first, is smoothed about null. On a limb (m 4, tilted about the probe's long axis by 5, -5 and 10
+    degrees) ln force at 7 of 39 mm changes by -0.038, -0.010 and -0.079.
     """
     odd, even = 0.5 * (there - other), 0.5 * (there + other)
 
@@ -57,8 +55,7 @@ def _two_sided(p: Parameter, there: Array, other: Array) -> Callable[[float], Ar
 
 
 def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Array]:
-    """Spline through changes at distances from null, in units of that of the start value; linear beyond
-    them."""
+    """Spline through changes at distances from null, in units of the start value's; linear beyond."""
     spline = CubicSpline(times, table)
 
     def at(value: float) -> Array:
@@ -70,9 +67,7 @@ def _between(p: Parameter, times: Array, table: Array) -> Callable[[float], Arra
 
 
 class Changes:
-    """Changes by effects in one site's simulations.
-
-    m : the exponent whose stored deformation is used
+    """Changes by effects in one site's simulations, at the stored deformation of the exponent `m`;
     not_simulated : effects that redistribute the load -> why the simulation that shows this has no solution
     """
 
@@ -126,8 +121,7 @@ class Changes:
         return lambda theta: at(*(float(theta.get(name, start[name])) for name in names))
 
     def _by_solving(self, effect: Effect, point: Theta, p: Parameter) -> Callable[[float], Array]:
-        """In proportion to a simulation at the start value; for a two-sided parameter from one more, on the
-        other side of null, if it has a solution."""
+        """From a simulation at the start value; if two-sided, also from one opposite, where it is solved."""
         there = self._solved_at(effect, point, p, p.start)
         if p.both_sides:
             with contextlib.suppress(SolveError):
@@ -211,12 +205,10 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Ingredients) -> Ar
     """Approximate change of the lines' ln depths (n, n_lines) by effects, without a simulation.
 
     Below the probe's centre the layers bear nearly the same pressure, like springs in series: tissue softer
-    by a factor is compressed more by that factor, and the probe's depth is redistributed accordingly. Effects
-    that are not a stiffness field do not move the lines. Simulations at one size and at the fitted size
-    correct the error of this estimate (`Changes`, `SiteCurves.repair`).
+    by a factor is compressed more by that factor. Effects that are no stiffness field do not move the lines.
+    Simulations correct the error of this estimate (`Changes`, `SiteCurves.repair`).
 
-    Source: springs in series as a model of layered tissue under a probe, Neumann et al. 2023, PLOS One
-    18(4):e0284721.
+    Source: Neumann et al. 2023, PLOS One 18(4):e0284721 (springs in series as layered tissue under a probe).
     """
     assert curves.log_line is not None
     below = np.exp(curves.log_line)
@@ -246,8 +238,7 @@ def line_shift(model: LimbModel, curves: Curves, ingredients: Ingredients) -> Ar
 
 
 def logs(curves: Curves) -> Array:
-    """(n, 1 + n_parts + n_lines): ln force (0 at depth 0), ln speeds, ln depths of lines if these are
-    tracked."""
+    """ln force (0 at depth 0), ln speeds, and ln depths of lines if tracked: (n, 1 + n_parts + n_lines)."""
     log_force = np.zeros(len(curves.depth))
     log_force[1:] = np.log(np.maximum(curves.force[1:], 1e-9))
     return np.column_stack([log_force, curves.columns])

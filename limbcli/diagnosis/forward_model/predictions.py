@@ -1,6 +1,5 @@
-"""Predictions of explanations for the data of one site, or of several measurements of one place.
-
-Evaluated on each site's `surrogate` from c, m and effects' parameters, at given points of the effects' grids.
+"""Predictions of explanations for the data of one site, or of several measurements of one place, from c, m
+and effects' parameters at given points of the effects' grids.
 """
 
 from __future__ import annotations
@@ -51,8 +50,7 @@ class Slot:
         return Prior(p.null, _ROOMY * max(abs(p.typical - p.null), 1e-9), p.low, p.high)
 
     def on_bound(self, value: float) -> str:
-        """Message where the value ended on a bound; empty elsewhere, and where it is null or a natural
-        bound."""
+        """Message where the value ended on a bound; empty elsewhere, at null and on a natural bound."""
         p = self.parameter
         near = _ON_BOUND * (p.high - p.low)
         if p.natural_bounds or (not p.shape and abs(value - p.null) <= near):
@@ -164,8 +162,7 @@ class Predictions:
         return found
 
     def amplification(self, x: Array, model: AtPoints) -> Array | None:
-        """Change (n,) of each shown ln speed per change of it in the tissue; 1 for other data. None if 1 for
-        all."""
+        """Change (n,) of each shown ln speed per change of it in the tissue, 1 for others; None if all 1."""
         c, m, thetas = self.values_of(x, model.explanation)
         found = np.concatenate([
             each.site.amplification(*each.read(c, m, model, theta))
@@ -185,8 +182,7 @@ class Predictions:
         return np.stack([self._slope(x, step, model) / step[k] for k, step in enumerate(steps)], axis=1)
 
     def _slope(self, x: Array, step: Array, model: AtPoints) -> Array:
-        """Change over this step by central differences, or by a one-sided difference if one side has no
-        solution; SolveError if neither has."""
+        """Change over this step by central, else one-sided differences; SolveError if none is solved."""
         known = some_solved(lambda sign: (sign, self.predict(x + sign * step, model)), (1.0, -1.0))
         if len(known) < 2:
             known.append((0.0, self.predict(x, model)))

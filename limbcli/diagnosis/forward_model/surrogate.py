@@ -73,11 +73,8 @@ class AtPoints:
 
 @dataclass(frozen=True, eq=False)
 class Repair:
-    """Error of the surrogate at one simulated model, and its scaling to other parameter values.
-
-    missed : (n, n_columns), simulation minus surrogate in `logs`; sizes : of the effects in that model, in
-    units of their start values; ln_m : of its law
-    """
+    """Error of the surrogate at one simulated model, `missed` (n, n_columns) in `logs`, and its scaling to
+    others; sizes : of the effects in that model, in units of their start values; ln_m : of its law"""
 
     missed: Array
     sizes: Mapping[str, float]
@@ -187,10 +184,7 @@ class SiteCurves:
         self, m: float, model: AtPoints, of_effects: tuple[tuple[str, float], ...], repairs: Repairs | None,
         n_nodes: int,
     ) -> Curves:  # fmt: skip
-        """The curves at the simulations' c.
-
-        of_effects : parameters of the effects that change the simulation
-        """
+        """The curves at the simulations' c; of_effects : parameters of effects that change the simulation"""
         theta = dict(of_effects)
         depth, base, plain = self._base(m, n_nodes)
         values = base
@@ -210,8 +204,7 @@ class SiteCurves:
         return reading
 
     def repair(self, m: float, model: AtPoints, theta: Theta) -> None:
-        """Simulate the model with these effects (SolveError if that fails), and correct the surrogate to the
-        result."""
+        """Simulate the model (SolveError if that fails), and correct the surrogate to the result."""
         effects = [(self.effects[name], point) for name, point in model]
         solving = tuple(
             (e, {**e.null, **{k: v for k, v in theta.items() if k in e.null}, **e.without_onset(q)})
@@ -234,8 +227,7 @@ class SiteCurves:
             self._repairs.setdefault(new.key, Repairs((self._repairs[old.key],)))
 
     def inherit_parts(self, model: AtPoints) -> None:
-        """Initialise the correction of a larger model not simulated yet with those of its parts: of the
-        largest simulated part, and then of parts of the remainder."""
+        """Begin a larger model's correction with those of its largest simulated part, and of the rest's."""
         n = len(model.explanation)
         if n < 2 or model.key in self._repairs:
             return
@@ -267,10 +259,7 @@ class SiteCurves:
         return np.pad(known, ((0, 0), (0, width - known.shape[1])))
 
     def _interpolated(self, m: float, n_nodes: int) -> tuple[Array, Array, Curves]:
-        """Depths, (ln force, ln speeds...) interpolated at m, and the curves of the nearest solved m.
-
-        n_nodes : how many are solved now
-        """
+        """Depths, `logs` at m by the `n_nodes` solved, and the curves of the nearest of these."""
         nodes = sorted(self.nodes, key=lambda node: abs(bend(node) - bend(m)))[:_NEAR]
         first = self.nodes[nodes[0]]
         weights = _weights(bend(np.array(nodes)), float(bend(m)))
@@ -282,8 +271,7 @@ class SiteCurves:
 
 @lru_cache(4 * _NEAR)  # of a few sites
 def _logs_without_gaps(solved: Curves) -> Array:
-    """`logs` of solved curves without gaps: the parts of maps that one m shows and another does not are
-    interpolated between the same depths."""
+    """`logs`, with parts of maps that not every m shows interpolated between the same depths."""
     return logs(replace(solved, log_speed=without_gaps(solved)))
 
 

@@ -67,11 +67,8 @@ _LEAST_STEP = 0.05  # smallest step between two depths after the shift, as a fra
 @dataclass(frozen=True, eq=False, kw_only=True)
 class MeshCorrection:
     """Additive correction of the working mesh's ln force and ln speeds, `logs` (n_m, n, 1 + n_parts), at
-    increasing `m` (n_m,); ratio of the thicknesses.
-
-    mesh_error, speed_error : standard deviation of the remaining mesh error of ln force and of ln mean speed
-    at the levels (n_levels,); map_share : factor on the usual model error in maps
-    """
+    increasing `m` (n_m,); ratio of the thicknesses; standard deviations of the mesh error left of ln force
+    and ln mean speed (n_levels,); factor on the usual model error in maps."""
 
     m: Array
     logs: Array
@@ -81,11 +78,8 @@ class MeshCorrection:
     map_share: float = 1.0
 
     def at(self, m: float) -> Array:
-        """Correction of ln force and ln speeds (n, 1 + n_parts) at this m.
-
-        Interpolated linearly in `bend` and nearly constant outside the known m; the transition is smooth,
-        since fits use derivatives.
-        """
+        """Correction of ln force and ln speeds (n, 1 + n_parts), linear in `bend` and nearly constant outside
+        the known m; the transition is smooth, since fits use derivatives."""
         known = bend(self.m)
         place = float(np.interp(bend(m), known, np.arange(len(known))))
         if len(known) > 1:
@@ -111,11 +105,11 @@ def _beyond(at: float, end: float, inner: float) -> float:
 def own_curves(
     meshed: LimbModel, simulations: SiteSimulations, several: Sequence[float], *, size_ratio: float
 ) -> dict[float, Curves]:
-    """Curves for each of these m on the site's own mesh, at the depths needed but the first; cached on disk
-    like those of the working mesh. Failures after the first m are left out.
+    """Curves for each of these m on the site's own mesh, at the depths needed but the first; failures after
+    the first m are left out.
 
-    size_ratio : edge length of the own mesh over that of the working mesh. The effect of a penalty depends on
-    the facet size, so that scaling the penalty by this ratio gives both meshes the same contact.
+    size_ratio : edge length of the own mesh over that of the working mesh, by which the penalty is scaled:
+        its effect depends on the facet size
 
     Raises SolveError if the solver does not reach the required depth with the first m, or exceeds the work
     limit.
@@ -135,22 +129,18 @@ def own_curves(
 
 
 def own_layers(site: Site, out: Path) -> str:
-    """Names of the layers that the site's own mesh has in addition to the tissue; empty if it is not meshed.
-
-    Such layers have a separate stiffness, whereas a diagnosis treats everything as one tissue: their effect
-    on the force is not a mesh error.
-    """
+    """Names of the layers that the site's own mesh has beside the tissue; empty if it is not meshed. Their
+    stiffness is separate, where a diagnosis has one tissue: what they change is no mesh error."""
     layers = data_if_there(out, "mesh", site=site.name).get("layers") or {}
     return " and ".join(name.removesuffix("_mm") for name in layers)
 
 
 def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
-    """Element type and curve, without speeds, of the site's finished run at the start values.
+    """Element type and curve, without speeds, of the site's finished run, its forces scaled to the stiffness
+    c (MPa); levels no deeper than the previous one are left out.
 
-    The forces are scaled to the stiffness c (MPa); levels no deeper than the previous one are left out.
-
-    Raises CaseError if there is no run, it has fewer than two depths with a force, it was made with other
-    start values, or it has layers in addition to the tissue.
+    Raises CaseError if there is no run, it has fewer than two depths with a force, other start values, or
+    layers.
     """
     ran = read_result(out, "run", site=site.name)
     if layers := own_layers(site, out):
@@ -178,12 +168,8 @@ def own_run(site: Site, out: Path, *, c: float) -> tuple[str, Curves]:
 
 
 def mesh_correction(checks: NumericalChecks, *, solves: bool) -> MeshCorrection:
-    """Correction to the site's own mesh, and to a limb that is not cut and rests on something; `solves`: by
-    simulations, otherwise none, with a usual error.
-
-    At the likely m; with maps, whose difference between meshes grows with m, also at the others of `FIRST_M`
-    that are solved.
-    """
+    """Correction to the site's own mesh, and to a limb that is not cut and rests on something, by simulations
+    (`solves`) or none, with a usual error: at the likely m and, with maps, at the others of `FIRST_M`."""
     several = [checks.likely_m]
     if checks.site.swe_maps is not None:
         others = [m for m in FIRST_M if m != checks.likely_m]
@@ -200,11 +186,8 @@ def corrected(
     checks: NumericalChecks, several: Sequence[float], *, freed: Mapping[float, Curves],
     held: Mapping[float, Curves], solves: bool = True,
 ) -> MeshCorrection:  # fmt: skip
-    """The correction at these values of m, the likely one first.
-
-    freed, held : by m, the working mesh's curves with the cut free, and with the far side held, as far as
-    they are known
-    """
+    """The correction at these values of m, the likely one first; freed, held : by m, as far as known, the
+    working mesh's curves with the cut free, and with the far side held"""
     found = _by_own_mesh(checks, several) if solves else None
     if found is None:
         found = _usual(checks, sorted({*freed, *held}) or [several[0]])
@@ -228,8 +211,7 @@ def _usual(checks: NumericalChecks, several: Sequence[float]) -> MeshCorrection:
 
 
 def _by_own_mesh(checks: NumericalChecks, several: Sequence[float]) -> MeshCorrection | None:
-    """Correction from simulations with these m on the site's own mesh; None, with a warning, if
-    impossible."""
+    """Correction by simulations with these m on the site's own mesh; or None, with a warning."""
     found: dict[float, Curves] = {}
     why, h, simulations = "", _USUAL_EDGE, checks.simulations
     try:
@@ -313,10 +295,7 @@ class Penetration:
 
 
 def penetration(harder: Curves, softer: Curves) -> Penetration | None:
-    """Penetration of `harder`, extrapolated from that of `softer`, which has a quarter of its penalty.
-
-    None if the two do not determine it (the softer contact gives no less force).
-    """
+    """Penetration of `harder`, by `softer` with a quarter of its penalty; None if that has no less force."""
     rising = np.flatnonzero((np.diff(softer.force, prepend=0.0) > 0) & (softer.depth > 0))
     if len(rising) < 2:
         return None

@@ -160,8 +160,7 @@ class NumericalChecks:
         return np.where(np.isfinite(self.levels.depth), smooth, np.nan)
 
     def positions(self) -> list[Effect]:
-        """Freeing the cut, and holding the far side if there is tissue behind the bone (not in a layer on a
-        bench)."""
+        """Freeing the cut, and holding the far side if there is tissue behind the bone (none on a bench)."""
         return [effect("crop"), *([FAR_SIDE] if len(far_side(self.simulations.model)) else [])]
 
     def curves_with(self, numerical: Effect, m: float) -> Curves:
@@ -182,8 +181,7 @@ class NumericalChecks:
 
     @cached_property
     def likely_m(self) -> float:
-        """The m of `FIRST_M` whose curve, with the best c, fits the measured depths best at the measured
-        forces; `START_M` if this cannot be determined."""
+        """The m of `FIRST_M` whose curve, with the best c, fits the depths best; else `START_M`."""
         rising = (self.levels.force > 0) & (self.levels.depth > 0)
         force, depth = self.levels.force[rising], self.levels.depth[rising]
         if len(depth) < 2:
@@ -210,8 +208,7 @@ class NumericalChecks:
         return replace(judged, left=share.get(numerical.name, 1.0))
 
     def _locking(self) -> list[Intervention]:
-        """Locking check if the site's own run has linear elements: its force compared with the working
-        tet10."""
+        """The force of the site's own run, if of linear elements, against that of the working tet10."""
         try:
             element, own = own_run(self.site, self.out, c=self.simulations.c)
         except LimbError as error:
@@ -270,9 +267,8 @@ class NumericalChecks:
     def _errors(
         self, correction: MeshCorrection, interventions: Sequence[Intervention], thickness: float
     ) -> list[ModelError]:
-        """Of numerical changes, of the depth at first touch, of the thickness and thus all strains, of a
-        common factor on the force, of the mesh; without maps also those of mean speeds, by the mesh and by
-        the unknown width of the region."""
+        """Of numerical changes, the depth at first touch, all strains by the thickness, a common factor on
+        the force, and the mesh; without maps also of mean speeds, by the mesh and the width of the region."""
         found = [
             ModelError(f"model: {each.name}", each.left * each.log_force, each.left * each.log_speed)
             for each in interventions if each.name != "locking"
@@ -309,11 +305,9 @@ class NumericalChecks:
         return ModelError(name, np.zeros(len(log_speed)) + force, log_speed, **more)
 
     def parts_seen(self) -> NDArray[np.bool_]:
-        """Parts of the region (n_parts,) that the models without effects show at every depth.
-
-        Others come into view under load at the edges of the face, or lie at bone: the models err more in
-        them, also at the depths at which they show them.
-        """
+        """Parts of the region (n_parts,) that the models without effects show at every depth. Others come
+        into view under load at the edges of the face, or lie at bone: the models err more in them at all
+        depths."""
         seen = np.ones(self.simulations.windows.n_parts, dtype=bool)
         for curves in where_solved(self.simulations.curves, FIRST_M).values():
             seen &= np.isfinite(curves.log_speed[:, 1:]).all(axis=0)
@@ -339,8 +333,7 @@ def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:
 
 
 def assumed_gain(case: Case, site: Site, out: Path) -> tuple[float, str]:
-    """Standard deviation of ln force from an assumed geometry, and a warning; 0 if the geometry was
-    imaged."""
+    """Standard deviation of ln force from an assumed geometry, and a warning; 0 if it was imaged."""
     words = case.imaging.assumed
     if not words:
         return 0.0, ""
