@@ -19,9 +19,16 @@ and a slip shorter than mu g is resisted in full (s = y/|y|). Where the iteratio
 no equilibrium.
 
 Along a slip the exact derivative has no stiffness, and Newton's method overshoots: points reverse, and
-alternate between stick and slip. Far from equilibrium the tangent therefore has stiffness mu p/|y| in every
-tangential direction, that of the quadratic with the same force that majorises mu p |y| (Weiszfeld 1937,
-Tohoku Math. J. 43:355).
+alternate between stick and slip. The tangent therefore knows the shear by a dual variable w of its own, which
+takes part in the iteration (Chan, Golub & Mulet 1999, SIAM J Sci Comput 20:1964, for the same function of y
+in images): |y| w = mu p y is linearised in place of w = mu p y/|y|, which gives
+
+    dt = mu (dp y/|y| + p dy/|y|) - w (y . dy)/|y|^2
+
+and w of the next iteration, at most mu p. With w = mu p y/|y|, as at equilibrium or where a point begins to
+slip, that is the exact derivative; where y has turned since, it keeps stiffness along the slip. The residual
+does not know w. Far from equilibrium w is 0 in the tangent: stiffness mu p/|y| in every tangential direction,
+that of the quadratic with the same force that majorises mu p |y| (Weiszfeld 1937, Tohoku Math. J. 43:355).
 
 With augmented contact p contains the multiplier of the pressure and y that of the shear; after each
 augmentation they take the values of p and T. `pull` keeps the shear of earlier steps, of slipping points too:
@@ -32,7 +39,7 @@ point change between stick and slip from the first augmentation of a load step t
 tight socket did not converge otherwise.
 
 Columns of `state` after those of `contact_points`: stick flag, T, distance from where a sticking point would
-be without penetration. Columns of `before`, from the last converged step: position, tangents g1 and g2.
+be without penetration, y, w. Columns of `before`, from the last converged step: position, tangents g1 and g2.
 `past` (n_points, 3): positions of all nodes then.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic with friction): Zimmerman & Ateshian 2018,
@@ -65,8 +72,8 @@ from limbcli.fem.contacts.contact_points import (
 from limbcli.fem.contacts.contact_points import N_STATE as N_NORMAL
 from limbcli.numbers.compiled import njit
 
-STICKS, PUSH, APART = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4
-N_STATE = N_NORMAL + 5
+STICKS, PUSH, APART, SLIP, DUAL = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4, N_NORMAL + 5, N_NORMAL + 8
+N_STATE = N_NORMAL + 11
 PLACE, TANGENTS = 0, 3
 N_BEFORE = 9
 
@@ -111,10 +118,11 @@ def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m):
 
 
 @njit
-def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
-    """Determine stick or slip and the traction T of every touching point.
+def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull, earlier):
+    """Determine stick or slip, the traction T and the dual shear of every touching point.
 
     pull (n_facets, n_gauss, 3) : multipliers of T
+    earlier : state of the points in the iteration before; no facets: none
     """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m = np.empty(3), np.empty(3), np.empty(3)
@@ -136,6 +144,29 @@ def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
                 row[PUSH + i] = row[TRACTION] * n[i] / size + drag * y[i]
                 apart += (y[i] - (multiplier[i] - normal * n[i] / size) / eps[f]) ** 2
             row[APART] = np.sqrt(apart)
+            for i in range(3):
+                row[SLIP + i] = y[i]
+                row[DUAL + i] = drag * y[i]
+            if row[STICKS] == 0.0 and earlier.shape[0] > 0:
+                _follow(row, earlier[f, k], mu)
+
+
+@njit
+def _follow(row, old, mu):
+    """Set w of a slipping point that slipped in the iteration before, `old`: |y| w = mu p y linearised there."""
+    length = np.sqrt(old[SLIP] ** 2 + old[SLIP + 1] ** 2 + old[SLIP + 2] ** 2)
+    if old[TRACTION] == 0.0 or old[STICKS] > 0.0 or length == 0.0:
+        return
+    p, dp = old[TRACTION], row[TRACTION] - old[TRACTION]
+    along, size = 0.0, 0.0
+    for i in range(3):
+        along += old[SLIP + i] * (row[SLIP + i] - old[SLIP + i]) / length
+    for i in range(3):
+        row[DUAL + i] = (mu * (p * row[SLIP + i] + dp * old[SLIP + i]) - along * old[DUAL + i]) / length
+        size += row[DUAL + i] ** 2
+    share = mu * row[TRACTION] / max(np.sqrt(size), 1e-300)
+    for i in range(3):
+        row[DUAL + i] *= min(share, 1.0)
 
 
 @njit
@@ -161,7 +192,7 @@ def _change(
     point; returns the changes of the contact point's natural coordinates.
 
     y, c, m : from `_slip`
-    yields : 1 for the exact derivative; 0 for stiffness mu p/|y| along a slip as well as across it
+    yields : 1 for w as it is in `row`; 0 for w = 0
     couples : 1 for the exact derivative; 0 for shear of a slip that does not follow the pressure
     """
     dn, dnu, w = np.empty(3), np.empty(3), np.empty(3)
@@ -214,7 +245,7 @@ def _change(
         if row[STICKS] > 0.0:
             shear = eps * dy[i]
         elif length > 0.0:
-            shear = mu * (couples * dp * y[i] + p * (dy[i] - yields * along * y[i] / length**2)) / length
+            shear = (mu * (couples * dp * y[i] + p * dy[i]) - yields * along * row[DUAL + i] / length) / length
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
     return ds, dt
 
