@@ -202,8 +202,9 @@ class System(RigidLoads, ElementLoops):
         """The contact at a state; the search begins at the hints of the state, or of the contact before."""
         found, hints, n_touching = [], [], 0
         begins = self._hints_by_pair(state if before is None else before.state)
-        for pair, begin in zip(self.pairs, begins, strict=True):
-            points, n = pair.search(self.X + state.u, begin)
+        earlier = before.points if before is not None else [()] * len(self.pairs)
+        for pair, begin, old in zip(self.pairs, begins, earlier, strict=True):
+            points, n = pair.search(self.X + state.u, begin, old)
             found.append(points)
             hints += [each[..., FACET].copy() for each in points]
             n_touching += n

@@ -26,6 +26,7 @@ _OTHER_DEG = 20.0  # a start that ends further away than this is another alignme
 _AS_GOOD = 1.1, 0.1  # residual up to which it is as good: factor, and mm
 _MOST_LANDMARK_MM = 15.0
 _LEAST_SPREAD_MM = 10.0
+_MIRRORED = 0.7  # of the distance from the skin that a socket's mirror image must have to be told of
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,6 +83,26 @@ def by_landmarks(
             distance_mm=float(distance[k]),
         )
     return _alignment(transform, distance)
+
+
+def mirror_image_fits(face: Triangles, skin: Triangles, landmarks: Array, *, seed: int = 7) -> str:
+    """A sentence if the mirror image of a placed face fits the skin better; "" otherwise.
+
+    Three landmarks do not tell a socket from its image in their plane: both are placed without a residual.
+
+    landmarks (n, 3) : on the limb, with which the face was placed; seed : of the points that are compared
+    """
+    points, near = _samples(face, _FINE, np.random.default_rng(seed)), NearestPoints(skin)
+    middle = landmarks.mean(axis=0)
+    normal = np.linalg.svd(landmarks - middle)[2][2]
+    image = points - 2.0 * ((points - middle) @ normal)[:, None] * normal
+    own, mirrored = (_residual(each, near, np.eye(4))[0] for each in (points, image))
+    if mirrored >= _MIRRORED * own:
+        return ""
+    return (
+        f"the socket's mirror image lies nearer to the skin ({mirrored:.1f} mm for {own:.1f} mm rms): check "
+        "its side (left or right), its axes, and the landmarks"
+    )
 
 
 def align(

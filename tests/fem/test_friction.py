@@ -14,6 +14,7 @@ from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts import friction_kernels
 from limbcli.fem.contacts.contact_points import GAP, TRACTION
+from limbcli.fem.contacts.contact_state import ContactState
 from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
 from limbcli.fem.equilibrium.newton import LoadStep, Newton, Settings
 from limbcli.fem.equilibrium.tangent import assemble
@@ -232,6 +233,27 @@ def test_far_from_equilibrium_a_slip_is_resisted_along_its_way_too() -> None:
     assert resistance(0, far=False) == pytest.approx(0.0, abs=1e-9 * drag)
     assert resistance(1, far=False) == pytest.approx(-drag / 2.0, rel=1e-9)
     assert resistance(0, far=True) == pytest.approx(-drag / 2.0, rel=1e-9)
+
+
+def test_where_a_slip_has_turned_its_way_is_resisted_until_the_dual_shear_has_turned_too() -> None:
+    """One search after the turn w points along the old slip: mu p (1 + 1) / |y|. The next one is exact."""
+    model = dragged(2.0)
+    pull = Curve(((1.0, 0.0), (2.0, 1.0), (3.0, -0.25)))
+    system = System(replace(model, curves={**model.curves, "pull": pull}), threads=1)
+    pressed = system.prescribed(system.rest(), 1.0)
+    system.remember(system.search(pressed).state)
+    forward, back = (system.prescribed(pressed, time) for time in (2.0, 3.0))
+    drag = abs(float(system.forces(forward).bodies[0, 0]))
+    motions = np.eye(1, 6)
+
+    def resistance(contact: ContactState) -> float:
+        return -float(system.contact_times(contact, np.zeros_like(system.X), motions)[1][0, 0])
+
+    slips = system.search(forward)
+    turned = system.search(back, before=slips)
+    again = system.search(back, before=turned)
+    found = [resistance(each) for each in (slips, turned, again)]
+    assert found == pytest.approx([0.0, -2 * drag / 0.5, 0.0], abs=1e-9 * drag)
 
 
 def indented(mu: float, *, cycle: bool = False) -> LimbModel:

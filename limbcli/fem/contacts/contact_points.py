@@ -57,13 +57,13 @@ def point_geometry(x, nodes, N, dN, r, g1, g2, n):
 @njit
 def normal_change(g1, g2, n, d1, d2, dn, dnu):
     """Change dn of the area vector and dnu of the unit normal; returns |n|."""
-    w = np.empty(3)
     cross(d1, g2, dn)
-    cross(g1, d2, w)
+    dn[0] += g1[1] * d2[2] - g1[2] * d2[1]
+    dn[1] += g1[2] * d2[0] - g1[0] * d2[2]
+    dn[2] += g1[0] * d2[1] - g1[1] * d2[0]
     length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
     along = 0.0
     for i in range(3):
-        dn[i] += w[i]
         along += n[i] * dn[i] / length
     for i in range(3):
         dnu[i] = (dn[i] - n[i] / length * along) / length
@@ -111,13 +111,12 @@ def gap_change(row, gap, nu, dr, dnu, slip):
 @njit
 def natural_change(move, xs, xt):
     """Changes of the natural coordinates of a point that moves by `move` along a facet."""
-    m, w = np.empty(3), np.empty(3)
-    cross(xs, xt, m)
-    mm = m[0] ** 2 + m[1] ** 2 + m[2] ** 2
-    cross(xt, m, w)
-    ds = (w[0] * move[0] + w[1] * move[1] + w[2] * move[2]) / mm
-    cross(m, xs, w)
-    dt = (w[0] * move[0] + w[1] * move[1] + w[2] * move[2]) / mm
+    a, b, c = xs[1] * xt[2] - xs[2] * xt[1], xs[2] * xt[0] - xs[0] * xt[2], xs[0] * xt[1] - xs[1] * xt[0]
+    mm = a**2 + b**2 + c**2
+    u, v, w = xt[1] * c - xt[2] * b, xt[2] * a - xt[0] * c, xt[0] * b - xt[1] * a
+    ds = (u * move[0] + v * move[1] + w * move[2]) / mm
+    u, v, w = b * xs[2] - c * xs[1], c * xs[0] - a * xs[2], a * xs[1] - b * xs[0]
+    dt = (u * move[0] + v * move[1] + w * move[2]) / mm
     return ds, dt
 
 

@@ -86,10 +86,15 @@ class FrictionPair(Pair):
             largest = max(largest, float(apart[touches].max(initial=0.0)))
         return largest
 
-    def search(self, x: Array, hints: Sequence[Array] = ()) -> tuple[tuple[Array, ...], int]:
+    def search(
+        self, x: Array, hints: Sequence[Array] = (), earlier: Sequence[Array] = ()
+    ) -> tuple[tuple[Array, ...], int]:
         found, n_touching = super().search(x, hints)
         for k, (p, points) in enumerate(zip(self.patches, found, strict=True)):
-            friction_kernels.resist(x, p.facets, p.N, p.dN, p.eps, points, self.facets2, *self._further(k))
+            old = earlier[k] if earlier else np.zeros((0, *points.shape[1:]))
+            friction_kernels.resist(
+                x, p.facets, p.N, p.dN, p.eps, points, self.facets2, *self._further(k), old
+            )
         return found, n_touching
 
     def blocks(

@@ -19,9 +19,16 @@ and a slip shorter than mu g is resisted in full (s = y/|y|). Where the iteratio
 no equilibrium.
 
 Along a slip the exact derivative has no stiffness, and Newton's method overshoots: points reverse, and
-alternate between stick and slip. Far from equilibrium the tangent therefore has stiffness mu p/|y| in every
-tangential direction, that of the quadratic with the same force that majorises mu p |y| (Weiszfeld 1937,
-Tohoku Math. J. 43:355).
+alternate between stick and slip. The tangent therefore knows the shear by a dual variable w of its own, which
+takes part in the iteration (Chan, Golub & Mulet 1999, SIAM J Sci Comput 20:1964, for the same function of y
+in images): |y| w = mu p y is linearised in place of w = mu p y/|y|, which gives
+
+    dt = mu (dp y/|y| + p dy/|y|) - w (y . dy)/|y|^2
+
+and w of the next iteration, at most mu p. With w = mu p y/|y|, as at equilibrium or where a point begins to
+slip, that is the exact derivative; where y has turned since, it keeps stiffness along the slip. The residual
+does not know w. Far from equilibrium w is 0 in the tangent: stiffness mu p/|y| in every tangential direction,
+that of the quadratic with the same force that majorises mu p |y| (Weiszfeld 1937, Tohoku Math. J. 43:355).
 
 With augmented contact p contains the multiplier of the pressure and y that of the shear; after each
 augmentation they take the values of p and T. `pull` keeps the shear of earlier steps, of slipping points too:
@@ -32,7 +39,7 @@ point change between stick and slip from the first augmentation of a load step t
 tight socket did not converge otherwise.
 
 Columns of `state` after those of `contact_points`: stick flag, T, distance from where a sticking point would
-be without penetration. Columns of `before`, from the last converged step: position, tangents g1 and g2.
+be without penetration, y, w. Columns of `before`, from the last converged step: position, tangents g1 and g2.
 `past` (n_points, 3): positions of all nodes then.
 
 Source: FEBio Theory Manual 4.0, section 7.2 (sliding-elastic with friction): Zimmerman & Ateshian 2018,
@@ -65,8 +72,8 @@ from limbcli.fem.contacts.contact_points import (
 from limbcli.fem.contacts.contact_points import N_STATE as N_NORMAL
 from limbcli.numbers.compiled import njit
 
-STICKS, PUSH, APART = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4
-N_STATE = N_NORMAL + 5
+STICKS, PUSH, APART, SLIP, DUAL = N_NORMAL, N_NORMAL + 1, N_NORMAL + 4, N_NORMAL + 5, N_NORMAL + 8
+N_STATE = N_NORMAL + 11
 PLACE, TANGENTS = 0, 3
 N_BEFORE = 9
 
@@ -86,13 +93,16 @@ def remember(x, facets, N, dN, before):
 
 
 @njit
-def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m):
-    """Set y, c and m (see the module docstring) of a point in contact; returns |n|."""
+def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m, room, N2, dN2):
+    """Set y, c and m (see the module docstring) of a point in contact; returns |n|.
+
+    N2, dN2, room (16, 3) : working space; arrays made for every point would cost as much as the work. They
+        leave with the shape functions of the secondary facet, and in `room` what `_change` takes of it
+    """
     size = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
-    old, now, w = np.empty(3), np.empty(3), np.empty(3)
-    N2, dN2, xs, xt = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty(3), np.empty(3)
+    old, olds, oldt, now, xs, xt, w = room[0], room[1], room[2], room[3], room[4], room[5], room[6]
     n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
-    interpolate(past, nodes2, N2[:n2], dN2, old, xs, xt)
+    interpolate(past, nodes2, N2[:n2], dN2, old, olds, oldt)
     interpolate(x, nodes2, N2[:n2], dN2, now, xs, xt)
     cross(before[TANGENTS : TANGENTS + 3], g2, m)
     cross(g1, before[TANGENTS + 3 : TANGENTS + 6], w)
@@ -111,13 +121,15 @@ def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m):
 
 
 @njit
-def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
-    """Determine stick or slip and the traction T of every touching point.
+def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull, earlier):
+    """Determine stick or slip, the traction T and the dual shear of every touching point.
 
     pull (n_facets, n_gauss, 3) : multipliers of T
+    earlier : state of the points in the iteration before; no facets: none
     """
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    y, c, m = np.empty(3), np.empty(3), np.empty(3)
+    y, c, m, room = np.empty(3), np.empty(3), np.empty(3), np.empty((16, 3))
+    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row, multiplier = state[f, k], pull[f, k]
@@ -125,7 +137,9 @@ def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
                 continue
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             nodes2 = facets2[int(row[FACET])]
-            size = _slip(row, before[f, k], x, past, nodes2, multiplier, eps[f], r, g1, g2, n, y, c, m)
+            size = _slip(
+                row, before[f, k], x, past, nodes2, multiplier, eps[f], r, g1, g2, n, y, c, m, room, N2, dN2
+            )
             length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
             most = mu * row[TRACTION]
             row[STICKS] = 1.0 if eps[f] * length < most else 0.0
@@ -136,6 +150,29 @@ def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull):
                 row[PUSH + i] = row[TRACTION] * n[i] / size + drag * y[i]
                 apart += (y[i] - (multiplier[i] - normal * n[i] / size) / eps[f]) ** 2
             row[APART] = np.sqrt(apart)
+            for i in range(3):
+                row[SLIP + i] = y[i]
+                row[DUAL + i] = drag * y[i]
+            if row[STICKS] == 0.0 and earlier.shape[0] > 0:
+                _follow(row, earlier[f, k], mu)
+
+
+@njit
+def _follow(row, old, mu):
+    """Set w of a slipping point that slipped in the iteration before, `old`: |y| w = mu p y linearised."""
+    length = np.sqrt(old[SLIP] ** 2 + old[SLIP + 1] ** 2 + old[SLIP + 2] ** 2)
+    if old[TRACTION] == 0.0 or old[STICKS] > 0.0 or length == 0.0:
+        return
+    p, dp = old[TRACTION], row[TRACTION] - old[TRACTION]
+    along, size = 0.0, 0.0
+    for i in range(3):
+        along += old[SLIP + i] * (row[SLIP + i] - old[SLIP + i]) / length
+    for i in range(3):
+        row[DUAL + i] = (mu * (p * row[SLIP + i] + dp * old[SLIP + i]) - along * old[DUAL + i]) / length
+        size += row[DUAL + i] ** 2
+    share = mu * row[TRACTION] / max(np.sqrt(size), 1e-300)
+    for i in range(3):
+        row[DUAL + i] *= min(share, 1.0)
 
 
 @njit
@@ -154,39 +191,30 @@ def force(facets, N, weights, state, facets2, out):
 
 
 @njit
-def _change(
-    row, before, x, past, nodes2, pull, eps, mu, yields, couples, r, g1, g2, n, y, c, m, dr, d1, d2, slip, df
-):
+def _change(row, before, pull, eps, mu, yields, couples, r, g1, g2, n, y, c, m, dr, d1, d2, slip, df, room):
     """Change df of |n| T, for changes of the point and the motion `slip` of the secondary side's material
     point; returns the changes of the contact point's natural coordinates.
 
-    y, c, m : from `_slip`
-    yields : 1 for the exact derivative; 0 for stiffness mu p/|y| along a slip as well as across it
+    y, c, m, room : from `_slip`
+    yields : 1 for w as it is in `row`; 0 for w = 0
     couples : 1 for the exact derivative; 0 for shear of a slip that does not follow the pressure
     """
-    dn, dnu, w = np.empty(3), np.empty(3), np.empty(3)
+    old, olds, oldt, q, xs, xt, w, u = room[0], room[1], room[2], room[3], room[4], room[5], room[6], room[7]
+    dn, dnu, nu, move, dy, dm, dc = room[8], room[9], room[10], room[11], room[12], room[13], room[14]
     size = normal_change(g1, g2, n, d1, d2, dn, dnu)
     dsize = 0.0
     for i in range(3):
         dsize += n[i] * dn[i] / size
-    nu, move, dy, dm, dc = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for i in range(3):
         nu[i] = n[i] / size
     dg = gap_change(row, row[GAP], nu, dr, dnu, slip)
     for i in range(3):
         move[i] = dr[i] - dg * nu[i] - row[GAP] * dnu[i] - slip[i]  # of the contact point along the facet
-    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
-    n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
-    q, xs, xt = np.empty(3), np.empty(3), np.empty(3)
-    old, olds, oldt = np.empty(3), np.empty(3), np.empty(3)
-    interpolate(x, nodes2, N2[:n2], dN2, q, xs, xt)
-    interpolate(past, nodes2, N2[:n2], dN2, old, olds, oldt)
     ds, dt = natural_change(move, xs, xt)
     length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
     p, dp = row[TRACTION], row[WEIGHT] * eps * dg
     for i in range(3):
         dp += p / row[WEIGHT] * row[SLIDE + i] * move[i]
-    u = np.empty(3)
     cross(before[TANGENTS : TANGENTS + 3], d2, u)
     cross(d1, before[TANGENTS + 3 : TANGENTS + 6], w)
     along, turn, mnu = 0.0, 0.0, 0.0
@@ -214,7 +242,9 @@ def _change(
         if row[STICKS] > 0.0:
             shear = eps * dy[i]
         elif length > 0.0:
-            shear = mu * (couples * dp * y[i] + p * (dy[i] - yields * along * y[i] / length**2)) / length
+            shear = (
+                mu * (couples * dp * y[i] + p * dy[i]) / length - yields * along * row[DUAL + i] / length**2
+            )
         df[i] = size * (dp * nu[i] + p * dnu[i] + shear) + dsize * row[PUSH + i]
     return ds, dt
 
@@ -225,7 +255,7 @@ def times(x, facets, N, dN, weights, eps, state, yields, facets2, v, out, mu, be
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, slip, vs, vt = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
+    N2, dN2, room = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty((16, 3))
     for f in range(facets.shape[0]):
         for k in range(N.shape[0]):
             row = state[f, k]
@@ -233,13 +263,15 @@ def times(x, facets, N, dN, weights, eps, state, yields, facets2, v, out, mu, be
                 continue
             nodes2 = facets2[int(row[FACET])]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            size = _slip(row, before[f, k], x, past, nodes2, pull[f, k], eps[f], r, g1, g2, n, y, c, m)
+            size = _slip(
+                row, before[f, k], x, past, nodes2, pull[f, k], eps[f], r, g1, g2, n, y, c, m, room, N2, dN2
+            )
             interpolate(v, facets[f], N[k], dN[k], dr, d1, d2)
             n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
             interpolate(v, nodes2, N2[:n2], dN2, slip, vs, vt)
             ds, dt = _change(
-                row, before[f, k], x, past, nodes2, pull[f, k], eps[f], mu, yields, 1.0, r, g1, g2, n, y, c,
-                m, dr, d1, d2, slip, df,
+                row, before[f, k], pull[f, k], eps[f], mu, yields, 1.0, r, g1, g2, n, y, c, m, dr, d1, d2,
+                slip, df, room,
             )  # fmt: skip
             for i in range(3):
                 df[i] *= weights[k]
@@ -292,12 +324,12 @@ def _add_block(
     r, g1, g2, n = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     y, c, m, slip = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     dr, d1, d2, df = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
+    N2, dN2, room = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty((16, 3))
     nodes2 = facets2[int(row[FACET])]
     n1 = nodes.shape[0]
     n2 = min(facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2), most)
     point_geometry(x, nodes, N, dN, r, g1, g2, n)
-    size = _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m)
+    size = _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m, room, N2, dN2)
     for b in range(n1 + n2):
         for j in range(3):
             dr[:] = 0.0
@@ -309,8 +341,7 @@ def _add_block(
             else:
                 slip[j] = N2[b - n1]
             ds, dt = _change(
-                row, before, x, past, nodes2, pull, eps, mu, yields, couples, r, g1, g2, n, y, c, m, dr, d1,
-                d2, slip, df,
+                row, before, pull, eps, mu, yields, couples, r, g1, g2, n, y, c, m, dr, d1, d2, slip, df, room
             )  # fmt: skip
             for i in range(3):
                 for a in range(n1):

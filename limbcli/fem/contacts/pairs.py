@@ -54,10 +54,13 @@ class Pair:
     looseness: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
-    def search(self, x: Array, hints: Sequence[Array] = ()) -> tuple[tuple[Array, ...], int]:
+    def search(
+        self, x: Array, hints: Sequence[Array] = (), earlier: Sequence[Array] = ()
+    ) -> tuple[tuple[Array, ...], int]:
         """Search contact at positions x (n_points, 3) of all nodes.
 
         hints : the secondary facet (-1: none) with which the search begins at each point of each patch
+        earlier : state of the points of each patch in the iteration before, which friction's tangent follows
 
         Returns the state of the points of each patch, and how many touch.
         """

@@ -238,9 +238,9 @@ class Linearised:
         the one with the smallest residual."""
         tried = []
         for length in (1.0, 0.5, 0.25):
-            contact = self.system.search(self.system.moved(base, step + length * change), before=contact)
-            residual = tissue + length * moved + self.system.contact_residual(contact)
-            tried.append((length, contact, residual))
+            found = self.system.search(self.system.moved(base, step + length * change), before=contact)
+            residual = tissue + length * moved + self.system.contact_residual(found)
+            tried.append((length, found, residual))
             if norm(residual) < size:
                 return tried[-1]
         return min(tried, key=lambda each: norm(each[2]))

@@ -223,9 +223,9 @@ class Newton:
             trial = self.system.moved(state, length * step)
             if self.volume_ratios:
                 trial = replace(trial, volumes=_between(ratios, ratios_full, length))
-            is_there = contact is not None and np.array_equal(contact.state.u, trial.u)
-            result = self.forces(trial, contact=contact if is_there else None)
-            state = replace(state, hints=result.contact.state.hints)
+            if contact is None or not np.array_equal(contact.state.u, trial.u):
+                contact = self.system.search(trial, before=contact)
+            result = self.forces(trial, contact=contact)
             size, size_all = norm(result.iterated), norm(result.residual)
             if result.worst > 0 and np.isfinite(size):
                 enough = allowed * (1.0 - 0.1 * length)

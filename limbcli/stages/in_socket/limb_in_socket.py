@@ -14,7 +14,7 @@ from limbcli.meshing.surfaces import Triangles, merge_points, read_surface
 from limbcli.meshing.whole_limb import HELD
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.results import StageWriter
-from limbcli.sockets.alignment import Alignment, align, by_landmarks
+from limbcli.sockets.alignment import Alignment, align, by_landmarks, mirror_image_fits
 from limbcli.sockets.centre_line import CentreLine, centre_line, own_line
 from limbcli.sockets.checks import (
     Clearance,
@@ -103,7 +103,7 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
     if given.surface is None:
         face, words = _from_skin(limb, outside, points, given)
     else:
-        face, alignment = _from_file(limb, frame, outside, line, given)
+        face, alignment = _from_file(limb, frame, outside, line, given, writer)
         words = f"inner face of {given.surface.name}"
     where = "[socket]" if given.surface is None else str(given.surface)
     check_around(face, line, where=where)
@@ -199,22 +199,24 @@ def _from_skin(
 
 
 def _from_file(
-    limb: LimbModel, frame: LimbFrame, skin: Triangles, line: CentreLine, given: SocketInput
-) -> tuple[Triangles, Alignment | None]:
+    limb: LimbModel, frame: LimbFrame, skin: Triangles, line: CentreLine, given: SocketInput,
+    writer: StageWriter,
+) -> tuple[Triangles, Alignment | None]:  # fmt: skip
     assert given.surface is not None
     where = str(given.surface)
     surface = merge_points(read_surface(given.surface))
     check_size(surface, skin, where=where)
     alignment = None
     if given.landmarks:
-        alignment = by_landmarks(
-            *_pairs(limb, given.landmarks), names=list(given.landmarks), where="[socket.landmarks]"
-        )
+        own, on_limb = _pairs(limb, given.landmarks)
+        alignment = by_landmarks(own, on_limb, names=list(given.landmarks), where="[socket.landmarks]")
         face = inner_face(surface.moved(alignment.transform), line, where=where)
+        if told := mirror_image_fits(face, skin, on_limb):
+            writer.warnings.append(f"{where}: {told}")
     elif given.align:
-        own = inner_face(surface, own_line(surface, where=where), where=where)
-        alignment = align(own, skin, line, where=where)
-        face = own.moved(alignment.transform)
+        unplaced = inner_face(surface, own_line(surface, where=where), where=where)
+        alignment = align(unplaced, skin, line, where=where)
+        face = unplaced.moved(alignment.transform)
     else:
         placed = Triangles(frame.upright(surface.points), surface.faces)
         check_near(placed, skin, where=where)
