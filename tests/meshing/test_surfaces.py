@@ -64,3 +64,13 @@ def test_faces_of_many_corners_are_read_as_well(tmp_path):
     surface = read_surface(path)
     assert boundary_loops(surface) == []
     assert surface.volume == pytest.approx(1.5 * np.sqrt(3.0) * 100.0 * 20.0)
+
+
+def test_a_whole_surface_is_worked_through_once(make_ball):
+    """A scan of millions of triangles goes through dozens of checks."""
+    ball = make_ball((0, 0, 0), 20.0)
+    assert ball.area_vectors is ball.area_vectors
+    assert ball.centroids is ball.centroids
+    assert bodies(ball)[0] is ball
+    with pytest.raises(ValueError, match="read-only"):
+        ball.centroids[0] = 0.0
