@@ -178,7 +178,8 @@ def bodies(surface: Triangles) -> list[Triangles]:
     if count == 1:
         return [surface]
     of_face = label[surface.faces[:, 0]]
-    pieces = [surface.part(of_face == each) for each in np.unique(of_face)]
+    order = np.argsort(of_face, kind="stable")
+    pieces = [surface.part(each) for each in np.split(order, np.flatnonzero(np.diff(of_face[order])) + 1)]
     return sorted(pieces, key=lambda each: -float(np.prod(np.ptp(each.points, axis=0) + 1e-9)))
 
 
