@@ -468,6 +468,13 @@ TOP = {
     "site": Key("list of tables", lambda _: None),
     "socket": Key("table", lambda _: None),
 }
+# words of the field that are not similar to the key of what they mean
+OTHER_WORDS = {
+    "side": "limb", "leg": "limb", "laterality": "limb", "patient": "id", "dicom": "mri", "image": "mri",
+    "images": "mri", "series": "mri", "ct": "mri", "segmentation": "labels", "mask": "labels",
+    "surface": "skin", "location": "position_mm", "coordinates": "position_mm", "orientation": "long_axis",
+    "pixel_spacing": "mm_per_pixel",
+}  # fmt: skip
 
 
 def check_table(
@@ -485,7 +492,7 @@ def check_table(
         problem = Problem(f"[{name}] is not a table", file, f"write it as [{name}] with `key = value` lines")
         return {}, [problem]
     problems = [
-        Problem(f"unknown key {key!r} in [{name}]", file, suggestion(key, schema))
+        Problem(f"unknown key {key!r} in [{name}]", file, suggestion(key, schema, OTHER_WORDS))
         for key in table
         if key not in schema
     ]

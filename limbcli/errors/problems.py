@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Literal, TypeVar
@@ -78,8 +78,10 @@ def checked(value: Checked | None, problems: Iterable[Problem], family: type[Any
 SPEED_FROM_KPA = "sqrt(E/3) of a Young's modulus E in kPa, or the square root of a shear modulus in kPa"
 
 
-def suggestion(name: str, known: Iterable[str]) -> str:
+def suggestion(name: str, known: Iterable[str], other_words: Mapping[str, str] | None = None) -> str:
     """The most similar known name, as part of a sentence.
+
+    other_words : names that mean a known one, which goes before those that are only similar
 
     >>> suggestion("lenght_mm", ["length_mm", "width_mm"])
     "did you mean 'length_mm'?"
@@ -89,8 +91,13 @@ def suggestion(name: str, known: Iterable[str]) -> str:
     'or the square root of a shear modulus in kPa'
     >>> suggestion("colour", ["length_mm"])
     "known here: 'length_mm'"
+    >>> suggestion("side", ["id", "limb"], {"side": "limb"})
+    "did you mean 'limb'?"
     """
     known = sorted(known)
+    meant = (other_words or {}).get(name.lower())
+    if meant in known:
+        return f"did you mean {meant!r}?"
     return similar(name, known) or "known here: " + ", ".join(repr(each) for each in known)
 
 

@@ -21,6 +21,7 @@ from limbcli.meshing import surfaces
 from limbcli.meshing.meshlab import open_pymeshlab
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, IntArray
+from limbcli.numbers.distinct_rows import distinct_rows
 
 SKIN_EDGE, BONE_EDGE = 2.0, 1.5  # mm, edge lengths of the triangles, as usual
 SMOOTH = 0.7  # mm: standard deviation of the Gaussian smoothing of the distance field
@@ -160,15 +161,15 @@ def once(triangles: IntArray) -> IntArray:
     """
     first = triangles.argmin(axis=1)[:, None]
     turned = np.take_along_axis(triangles, (first + np.arange(3)) % 3, axis=1)
-    return triangles[np.sort(np.unique(turned, axis=0, return_index=True)[1])]
+    return triangles[np.sort(distinct_rows(turned)[0])]
 
 
 def joined(surface: Triangles) -> Triangles:
     """Merge coincident points; drop degenerate and duplicate triangles, and unused points."""
     size = np.ptp(surface.points, axis=0).max()
     keys = np.round(surface.points / max(1e-6 * size, 1e-9)).astype(np.int64)
-    _, first, numbers = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    triangles = numbers.ravel()[surface.faces]
+    first, numbers = distinct_rows(keys)
+    triangles = numbers[surface.faces]
     whole = (np.diff(np.sort(triangles, axis=1), axis=1) > 0).all(axis=1)
     used, renumbered = np.unique(once(triangles[whole]), return_inverse=True)
     return Triangles(surface.points[first[used]], renumbered.reshape(-1, 3).astype(np.int64))

@@ -102,7 +102,7 @@ def csv_sheet(
     if named:
         lines[0] = ""
     if not separator and not any(each in line for line in lines for each in _MARKS):
-        lines = ["\t".join(re.sub(r"^#\s+", "#", line).split()) for line in lines]
+        lines = _of_spaces([re.sub(r"^#\s+", "#", line) for line in lines])
     at, mark = _header_line(lines, marks, is_header)
     kept = ["" if k < at or (k > at and line.startswith("#")) else line for k, line in enumerate(lines)]
     cells = checked(*csv_rows("\n".join(kept), path, separator=mark), MeasurementError)
@@ -112,6 +112,18 @@ def csv_sheet(
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     _require_width(rows[1:], len(rows[0]), path)
     return Sheet([each.strip() for each in rows[0]], rows[1:], mark)
+
+
+def _of_spaces(lines: list[str]) -> list[str]:
+    """Lines in columns separated by spaces, with tabs instead.
+
+    Titles contain spaces too, "Time (s)    Force (N)": a line that two or more spaces divide into as many
+    cells as a row has numbers is divided there, others at every space.
+    """
+    narrow = [line.split() for line in lines]
+    width = next((len(row) for row in narrow if len(row) > 1 and all(map(is_number, row))), 0)
+    wide = [re.split(r"\s{2,}", line.strip()) for line in lines]
+    return ["\t".join(w if len(w) == width else n) for w, n in zip(wide, narrow, strict=True)]
 
 
 def _require_width(rows: list[list[str]], width: int, path: Path) -> None:

@@ -29,6 +29,7 @@ _DAMAGED = (
 _WITH_PREVIEW = "MPO"  # a camera's JPEG: further frames are smaller copies of the picture
 _DEEP = ("I", "F")  # prefixes of Pillow's modes with one channel of 16 or 32 bits, which it would clip at 255
 _OVER_EDGE = 2  # pixels by which a box may extend beyond the edge of its region
+_UNLIKE = 0.01  # by so large a fraction, distances of rows and columns are not one mm_per_pixel
 _MOST_CUT_OFF = 1.0  # mm of tissue below the probe face that an image may lack; it is neglected
 
 
@@ -67,6 +68,8 @@ class UltrasoundImage:
 
     frame : its number in the file, from 1; None if it is the only one
     replaced_mm_per_pixel : the file's own scale along the beam, where another was stated; None without one
+    pixel_spacing : mm between rows and between columns, as a DICOM image states it outside its regions; it
+        may be that of a screen or a print, so it is only shown; None without one
     """
 
     rgb: NDArray[np.uint8]
@@ -74,6 +77,7 @@ class UltrasoundImage:
     path: Path
     frame: int | None = None
     replaced_mm_per_pixel: float | None = None
+    pixel_spacing: tuple[float, float] | None = None
 
     @property
     def where(self) -> str:
@@ -101,11 +105,13 @@ class UltrasoundImage:
     def calibrated(self) -> tuple[Region, ...]:
         """All regions; raises MeasurementError if there is none."""
         if not self.regions:
-            raise MeasurementError(
-                "the image has no calibrated region",
-                where=self.where,
-                fix="state mm_per_pixel (from the depth scale), or export DICOM with regions",
-            )
+            what, scale = "the image has no calibrated region", "mm_per_pixel (from the depth scale)"
+            if self.pixel_spacing is not None:
+                down, across = self.pixel_spacing
+                what += f"; its Pixel Spacing (0028,0030), {down:.6g} by {across:.6g} mm, may be of a screen"
+                if abs(down - across) < _UNLIKE * down:
+                    scale = f"mm_per_pixel = {down:.6g} if the depth scale agrees"
+            raise MeasurementError(what, where=self.where, fix=f"state {scale}, or export DICOM with regions")
         return self.regions
 
     def _from_the_face(self, region: Region) -> Region:
@@ -162,7 +168,7 @@ def read_image(
     Raises MeasurementError if the file is not an image, it contains several frames and none is selected, or
     no scale is in the file or given.
     """
-    rgb, regions, number = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
+    rgb, regions, number, spacing = _read_dicom(path, frame) if is_dicom(path) else _read_picture(path, frame)
     own = None
     if mm_per_pixel is not None:
         own = max(regions, key=_area).mm_per_pixel_y if regions else None
@@ -171,7 +177,7 @@ def read_image(
             raise MeasurementError(what, where=str(path), fix="read it off the depth scale of the image")
         whole = Region(0, 0, rgb.shape[1] - 1, rgb.shape[0] - 1, 1.0, 1.0)
         regions = tuple(_at_scale(each, mm_per_pixel) for each in regions or (whole,))
-    image = UltrasoundImage(rgb, regions, path, number, own)
+    image = UltrasoundImage(rgb, regions, path, number, own, spacing)
     return image if box_pixels is None else _within(image, box_pixels)
 
 
@@ -224,7 +230,7 @@ def is_dicom(path: Path) -> bool:
     return head[128:] == b"DICM" or path.suffix.lower() in {".dcm", ".dicom"}
 
 
-_Frame = tuple[NDArray[np.uint8], tuple[Region, ...], int | None]
+_Frame = tuple[NDArray[np.uint8], tuple[Region, ...], int | None, tuple[float, float] | None]
 
 
 def _read_picture(path: Path, frame: int | None) -> _Frame:
@@ -236,8 +242,8 @@ def _read_picture(path: Path, frame: int | None) -> _Frame:
             number = _frame_of(path, count, frame)
             picture.seek((number or 1) - 1)
             if picture.mode[:1] in _DEEP:
-                return _to_bytes(np.asarray(picture), inverted=False), (), number
-            return np.asarray(picture.convert("RGB"), dtype=np.uint8), (), number
+                return _to_bytes(np.asarray(picture), inverted=False), (), number, None
+            return np.asarray(picture.convert("RGB"), dtype=np.uint8), (), number, None
     except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, *_DAMAGED) as error:
         fix = "export the frame as DICOM, PNG or BMP"
         raise MeasurementError(f"the image cannot be read ({error})", where=str(path), fix=fix) from error
@@ -273,7 +279,8 @@ def _dicom_frame(path: Path, frame: int | None) -> _Frame:
     kind = str(dataset.get("PhotometricInterpretation", "MONOCHROME2"))
     if kind == "PALETTE COLOR":
         pixels = apply_color_lut(pixels, dataset)
-    return _to_bytes(pixels, inverted=kind == "MONOCHROME1"), _regions(dataset), number
+    rgb = _to_bytes(pixels, inverted=kind == "MONOCHROME1")
+    return rgb, _regions(dataset), number, _pixel_spacing(dataset)
 
 
 def _to_bytes(pixels: NDArray, *, inverted: bool) -> NDArray[np.uint8]:
@@ -286,6 +293,15 @@ def _to_bytes(pixels: NDArray, *, inverted: bool) -> NDArray[np.uint8]:
     if values.ndim == 2:
         values = np.repeat(values[:, :, None], 3, axis=2)
     return np.clip(np.rint(values), 0, 255).astype(np.uint8)
+
+
+def _pixel_spacing(dataset: Any) -> tuple[float, float] | None:
+    """Pixel Spacing (0028,0030), if it is two lengths."""
+    try:
+        down, across = map(float, dataset.PixelSpacing)
+    except (AttributeError, TypeError, ValueError):
+        return None
+    return (down, across) if 0 < down < np.inf and 0 < across < np.inf else None
 
 
 def _regions(dataset: object) -> tuple[Region, ...]:

@@ -143,10 +143,13 @@ def probe_axis(
 
 def nearest_skin_point(skin: Triangles, position: Array) -> tuple[Array, Array, float]:
     """Closest point (3,) of the surface, its face's unit normal, and the distance (mm)."""
-    nearest = closest_on_triangles(position, skin.corners)
+    to_points = np.linalg.norm(skin.points - position, axis=1)[skin.faces].min(axis=1)
+    # no triangle's point is nearer than its nearest corner less an edge
+    near = np.flatnonzero(to_points <= to_points.min() + 1.001 * skin.longest_edge)
+    nearest = closest_on_triangles(position, skin.corners[near])
     distance = np.linalg.norm(nearest - position, axis=1)
     k = int(np.argmin(distance))
-    normal = skin.area_vectors[k]
+    normal = skin.area_vectors[near[k]]
     return nearest[k], normal / np.linalg.norm(normal), float(distance[k])
 
 

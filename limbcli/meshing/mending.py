@@ -176,6 +176,8 @@ def _lidded(body: Triangles) -> tuple[Triangles, list[Array]]:
     points, faces = [body.points], [body.faces]
     n = len(body.points)
     rims = boundary_loops(body)
+    if not rims:
+        return body, []
     for rim in rims:
         points.append(body.points[rim].mean(axis=0)[None])
         faces.append(np.stack([np.roll(rim, -1), rim, np.full(len(rim), n)], axis=1))
@@ -213,6 +215,8 @@ def _coherent(body: Triangles, notes: list[str], name: str) -> Triangles:
     The orientation is consistent if every edge is traversed equally often in both directions, or only once:
     two sheets may meet in an edge with four faces, and separating them would open the surface.
     """
+    if body.is_closed:
+        return body
     edges = body.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, which = np.unique(undirected(edges), return_inverse=True)
     balance = np.bincount(which, weights=np.where(edges[:, 0] < edges[:, 1], 1.0, -1.0))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.model import Array, IntArray
+from limbcli.numbers.distinct_rows import distinct_rows
 from limbcli.surface_formats.triangle_files import SUFFIXES, read_triangles
 
 _SAME_POINT = 1e-7  # of a surface's size: points that are closer are one
@@ -21,7 +23,10 @@ _SAME_POINT = 1e-7  # of a surface's size: points that are closer are one
 
 @dataclass(frozen=True, eq=False)
 class Triangles:
-    """A triangle surface: points (n, 3) mm, faces (m, 3) from 0, outward normals by the right-hand rule."""
+    """A triangle surface: points (n, 3) mm, faces (m, 3) from 0, outward normals by the right-hand rule.
+
+    Points and faces never change, so that what is computed from all of them is kept.
+    """
 
     points: Array
     faces: IntArray
@@ -31,16 +36,16 @@ class Triangles:
         """(m, 3, 3) coordinates of every face's corners."""
         return self.points[self.faces]
 
-    @property
+    @cached_property
     def area_vectors(self) -> Array:
         """Face normals (m, 3) whose length is the area (mm2)."""
         a, b, c = self.points[self.faces.T]
         (x, y, z), (u, v, w) = (b - a).T, (c - a).T
-        return 0.5 * np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+        return _fixed(0.5 * np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1))
 
-    @property
+    @cached_property
     def areas(self) -> Array:
-        return np.linalg.norm(self.area_vectors, axis=1)
+        return _fixed(np.linalg.norm(self.area_vectors, axis=1))
 
     @property
     def point_normals(self) -> Array:
@@ -50,12 +55,12 @@ class Triangles:
             np.add.at(found, column, normals)
         return found / np.maximum(np.linalg.norm(found, axis=1, keepdims=True), 1e-300)
 
-    @property
+    @cached_property
     def centroids(self) -> Array:
         a, b, c = self.points[self.faces.T]
-        return (a + b + c) / 3
+        return _fixed((a + b + c) / 3)
 
-    @property
+    @cached_property
     def volume(self) -> float:
         """Enclosed volume (mm3), positive where normals point outward (divergence theorem).
 
@@ -64,13 +69,29 @@ class Triangles:
         """
         return float(np.einsum("ij,ij->", self.centroids - self.points.mean(0), self.area_vectors) / 3)
 
-    @property
+    @cached_property
     def is_closed(self) -> bool:
         """Whether every edge belongs to exactly two triangles that traverse it in opposite directions."""
         start, end = self.faces.astype(np.int64).ravel(), np.roll(self.faces, -1, axis=1).ravel()
         n = len(self.points)
-        forward = np.unique(start * n + end)  # a key for each directed edge
-        return len(forward) == len(start) and np.array_equal(forward, np.unique(end * n + start))
+        forward = np.sort(start * n + end)  # a key for each directed edge
+        return bool((np.diff(forward) > 0).all()) and np.array_equal(forward, np.sort(end * n + start))
+
+    @cached_property
+    def longest_edge(self) -> float:
+        a, b, c = self.points[self.faces.T]
+        return float(
+            np.sqrt(max(((u - v) ** 2).sum(axis=1).max(initial=0.0) for u, v in ((a, b), (b, c), (c, a))))
+        )
+
+    @cached_property
+    def piece_of_point(self) -> tuple[int, IntArray]:
+        """The number of connected pieces, also points without faces, and the piece (n,) of every point."""
+        a, b, c = self.faces.T
+        n = len(self.points)
+        links = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
+        count, label = connected_components(links, directed=False)
+        return int(count), label
 
     def moved(self, transform: Array) -> Triangles:
         """The surface after a rigid 4 x 4 transform."""
@@ -84,6 +105,11 @@ class Triangles:
         faces = self.faces[keep]
         used, inverse = np.unique(faces, return_inverse=True)
         return Triangles(self.points[used], inverse.reshape(-1, 3).astype(np.int64))
+
+
+def _fixed(values: Array) -> Array:
+    values.flags.writeable = False
+    return values
 
 
 def tetrahedron() -> Triangles:
@@ -135,8 +161,8 @@ def merge_points(surface: Triangles) -> Triangles:
     """Merge coincident points (within `_SAME_POINT` times the surface's size); drop degenerate faces."""
     size = float(np.ptp(surface.points, axis=0).max()) or 1.0
     keys = np.round((surface.points - surface.points.min(0)) / (_SAME_POINT * size)).astype(np.int64)
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.reshape(-1)[surface.faces]
+    first, inverse = distinct_rows(keys)
+    faces = inverse[surface.faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     return Triangles(surface.points[first], faces.astype(np.int64)).part(np.arange(len(faces)))
@@ -148,12 +174,12 @@ def bodies(surface: Triangles) -> list[Triangles]:
     >>> [len(each.faces) for each in bodies(join([tetrahedron(), tetrahedron()]))]
     [4, 4]
     """
-    a, b, c = surface.faces.T
-    n = len(surface.points)
-    links = coo_array((np.ones(2 * len(a)), (np.r_[a, b], np.r_[b, c])), shape=(n, n))
-    _, label = connected_components(links, directed=False)
-    of_face = label[a]
-    pieces = [surface.part(of_face == each) for each in np.unique(of_face)]
+    count, label = surface.piece_of_point
+    if count == 1:
+        return [surface]
+    of_face = label[surface.faces[:, 0]]
+    order = np.argsort(of_face, kind="stable")
+    pieces = [surface.part(each) for each in np.split(order, np.flatnonzero(np.diff(of_face[order])) + 1)]
     return sorted(pieces, key=lambda each: -float(np.prod(np.ptp(each.points, axis=0) + 1e-9)))
 
 
@@ -170,6 +196,8 @@ def undirected(edges: IntArray) -> IntArray:
 
 def boundary_loops(surface: Triangles) -> list[IntArray]:
     """Closed chains of point indices along the edges that belong to only one face."""
+    if surface.is_closed:
+        return []
     edges = surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
     _, inverse, counts = np.unique(undirected(edges), return_inverse=True, return_counts=True)
     following: dict[int, list[int]] = {}

@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from limbcli.numbers.distinct_rows import distinct_rows
+
 _HEAD, _FACET = 84, 50  # bytes of the header with the number of facets, and of a facet
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 _LOOP = re.compile(rb"\bendloop\b", re.IGNORECASE)
@@ -27,8 +29,8 @@ def read_stl(path: Path) -> tuple[NDArray[np.float64], list[NDArray[np.int64]]]:
     is_exact = len(content) >= _HEAD and len(content) == _HEAD + _FACET * told
     is_text = content.lstrip()[:5].lower() == b"solid" and _LOOP.search(content) is not None
     corners = _of_text(content) if is_text and not is_exact else _of_binary(content, told)
-    points, faces = np.unique(corners, axis=0, return_inverse=True)
-    return points, [faces.reshape(-1, 3).astype(np.int64)]
+    first, number = distinct_rows(corners)
+    return corners[first], [number.reshape(-1, 3)]
 
 
 def _of_text(content: bytes) -> NDArray[np.float64]:

@@ -74,6 +74,8 @@ def test_every_problem_is_listed_at_once(folder: Path):
 def test_unknown_key_suggests_the_nearest(folder: Path):
     problems = read_case(write(folder, GOOD + "densty_kg_per_m3 = 1000.0\n"))[1]
     assert [each.fix for each in problems] == ["did you mean 'density_kg_per_m3'?"]
+    problems = read_case(write(folder, GOOD.replace("limb = ", "side = ")))[1]
+    assert "did you mean 'limb'?" in [each.fix for each in problems]
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from PIL import Image
+from pydicom import dcmread
 from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.encaps import encapsulate
 from pydicom.pixels import convert_color_space
@@ -104,6 +105,19 @@ def test_a_region_that_is_no_picture_in_cm_gives_no_scale(tmp_path, region):
     """A trace of motion or of a flow's speed beside the tissue, whose pixels are no lengths."""
     assert not read_image(stored(tmp_path / "a.dcm", screen().tobytes(), **region)).regions
     assert len(read_image(stored(tmp_path / "b.dcm", screen().tobytes())).regions) == 1
+
+
+@pytest.mark.parametrize(
+    ("spacing", "fix"), [([0.08, 0.08], "mm_per_pixel = 0.08 if"), ([0.08, 0.1], "the depth scale")]
+)
+def test_a_pixel_spacing_beside_no_region_is_shown_and_not_used(tmp_path, spacing, fix):
+    path = stored(tmp_path / "a.dcm", screen().tobytes(), PhysicalDeltaY=0.0)
+    dataset = dcmread(path)
+    dataset.PixelSpacing = spacing
+    dataset.save_as(path)
+    with pytest.raises(MeasurementError, match=r"0\.08 by 0") as caught:
+        read_image(path).main_region()
+    assert fix in caught.value.fix
 
 
 def test_a_box_beyond_the_image_is_refused(tmp_path):

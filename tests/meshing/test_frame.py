@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from limbcli.errors import CaseError
+from limbcli.meshing import frame
 from limbcli.meshing.frame import SiteFrame, probe_axis, proximal_direction, site_frame, skin_point_at
 from limbcli.meshing.mending import Limb, long_axis
 from limbcli.meshing.probe import ProbeShape
@@ -123,3 +124,19 @@ def test_the_frames_axes_point_to_sides_of_the_patient():
     to_model[:3, :3] = [[-1, 0, 0], [0, 0, 1], [0, 1, 0]]
     rows = to_model[:3, :3]
     assert SiteFrame(to_model, np.zeros(3), rows[2], rows[0], rows[1], 0.0).sides == ("right", "head")
+
+
+def test_of_a_scan_only_the_triangles_near_a_site_are_searched(leg, monkeypatch):
+    skin, counts = leg.skin, []
+    places = skin.points[::50] + np.random.default_rng(7).normal(scale=30.0, size=skin.points[::50].shape)
+    whole = [frame.closest_on_triangles(each, skin.corners) for each in places]
+    search = frame.closest_on_triangles
+    monkeypatch.setattr(
+        frame, "closest_on_triangles", lambda p, corners: counts.append(len(corners)) or search(p, corners)
+    )
+    for place, points in zip(places, whole, strict=True):
+        nearest, _, far = frame.nearest_skin_point(skin, place)
+        k = np.argmin(np.linalg.norm(points - place, axis=1))
+        assert (nearest == points[k]).all()
+        assert far == np.linalg.norm(points[k] - place)
+    assert np.median(counts) < 0.3 * len(skin.faces)

@@ -64,3 +64,21 @@ def test_faces_of_many_corners_are_read_as_well(tmp_path):
     surface = read_surface(path)
     assert boundary_loops(surface) == []
     assert surface.volume == pytest.approx(1.5 * np.sqrt(3.0) * 100.0 * 20.0)
+
+
+def test_a_whole_surface_is_worked_through_once(make_ball):
+    """A scan of millions of triangles goes through dozens of checks."""
+    ball = make_ball((0, 0, 0), 20.0)
+    assert ball.area_vectors is ball.area_vectors
+    assert ball.centroids is ball.centroids
+    assert bodies(ball)[0] is ball
+    with pytest.raises(ValueError, match="read-only"):
+        ball.centroids[0] = 0.0
+
+
+def test_a_scan_of_many_fragments_is_gone_through_once(make_ball, monkeypatch):
+    scan = join([make_ball((0, 0, 50.0 * k), 5.0) for k in range(20)])
+    taken, part = [], Triangles.part
+    monkeypatch.setattr(Triangles, "part", lambda whole, keep: taken.append(len(keep)) or part(whole, keep))
+    assert len(bodies(scan)) == 20
+    assert sum(taken) == len(scan.faces)

@@ -84,3 +84,15 @@ def test_a_skin_read_alone_leaves_fragments_out_too(tmp_path: Path):
 def test_a_body_inside_the_skin_stays_in_its_file(tmp_path: Path):
     path = written(tmp_path / "skin.ply", LIMB, BONES[0], cylinder(5.0, -5.0, 5.0, (0.0, 90.0)))
     assert len(bodies(read_body(path)[0])) == 2
+
+
+def test_bones_that_the_skin_s_file_holds_too_are_left_out_of_it(alone: StageResult, tmp_path: Path):
+    """They share the points of a cut with the skin, and would be one body with it."""
+    touching = Triangles(BONES[0].points.copy(), BONES[0].faces)
+    touching.points[touching.points[:, 2].argmax()] = LIMB.points[LIMB.points[:, 2].argmax()]
+    case = case_of(tmp_path, touching, BONES[1])
+    written(tmp_path / "tibia.ply", touching)
+    result = segment(case, out=tmp_path / "out")
+    volumes = result.data["volume_cm3"]
+    assert volumes["skin"] == pytest.approx(alone.data["volume_cm3"]["skin"])
+    assert [each for each in result.warnings if "also holds bone_tibia and bone_fibula" in each]

@@ -25,6 +25,7 @@ from limbcli.progress import SILENT, Progress
 # as one that reaches to the skin: 0.7 mm all round a limb of 50 mm radius. Skin alone is 1 to 2 mm thick.
 _WITHOUT_SKIN = 0.03
 _ASTRAY = 0.05  # largest fraction of the labelled voxels outside the limb in the image
+_CUT_MM = 5.0  # length of the limb beyond the map's grid above which a warning tells it
 _LIMB = (SOFT_TISSUE, BONE, FAT)
 _FIX = "add the image, [imaging] mri: what is missing up to the skin is then taken from it"
 
@@ -93,6 +94,7 @@ def _up_to_skin(
     seen = segment_limb(
         series.volume, modality=modality, hints=SegmentationHints(side=side), progress=progress
     )
+    problems = _cut_along(labels, seen.labels, where)
     labels = _widened(labels, seen.labels)
     around = _resampled(seen.labels, labels)
     limb = np.isin(around, _LIMB)
@@ -109,11 +111,35 @@ def _up_to_skin(
     inside = inside[:, :, ::-1] if flipped else inside
     missing = float((inside & ~filled).sum() / max(inside.sum(), 1))
     if missing <= _WITHOUT_SKIN:
-        return labels, [], []
+        return labels, [], problems
     rest = np.where(around == BONE, SOFT_TISSUE, around)
     line = f"{missing:.0%} of the limb is in no segment of the label map: taken from the image"
     values = np.where(ours, labels.values, rest).astype(np.uint8)
-    return labels.with_values(values), [line], []
+    return labels.with_values(values), [line], problems
+
+
+def _cut_along(labels: Volume, limb: Volume, where: str) -> list[Problem]:
+    """A warning if the limb in the image goes on beyond an end of the map's grid."""
+    index = np.argwhere(np.isin(limb.values, _LIMB)).astype(np.float64)
+    along = labels.limb_axis
+    at = labels.to_voxel(limb.to_patient(index))[:, along]
+    if not len(at):
+        return []
+    beyond = np.array([-at.min(), at.max() - (labels.shape[along] - 1)]) * labels.spacing[along]
+    distal, proximal = beyond if labels.affine[2, along] > 0 else beyond[::-1]
+    told = [
+        f"{mm:.0f} mm {word}" for mm, word in ((distal, "distally"), (proximal, "proximally")) if mm > _CUT_MM
+    ]
+    if not told:
+        return []
+    what = (
+        f"the limb in the image goes on {' and '.join(told)} of the label map's grid: that part is left out"
+    )
+    fix = (
+        "if no bone is missing there, as at the end of a residual limb, export the label map on the grid of "
+        "the image (programs crop it to what is drawn)"
+    )
+    return [Problem(what, where, fix, severity="warning")]
 
 
 def _widened(labels: Volume, limb: Volume) -> Volume:

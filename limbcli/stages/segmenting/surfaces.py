@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from limbcli.case import Case, Imaging
 from limbcli.errors import CaseError, MeshError
@@ -38,6 +39,8 @@ from limbcli.surface_formats.stated_frame import mixed_frames, stated_frame
 AOP_FILE = "skin.aop"
 _AS_STATED = Imaging()  # of which case.toml says neither unit nor side
 _LONGEST_EDGE = 25.0  # mm, longest edge of a divided body
+# a bone is held by the skin's file too if more than this share of its triangles is there, so close, mm
+_HELD, _SAME_MM = 0.9, 0.01
 _NAMED = 3  # pieces of a skin's file that a warning names
 _DRAWN_SHARE = 0.5  # share of area in triangles with a longer edge above which a body is taken as drawn
 
@@ -153,6 +156,7 @@ def read_surfaces(case: Case) -> tuple[dict[str, Triangles], dict[str, Path], li
     if not case.imaging.bones:
         return _bodies(surfaces[SKIN], case.imaging.skin), paths, []
     bones = {name: surfaces[name] for name in names}
+    surfaces[SKIN], inside = _without_bones(surfaces[SKIN], case.imaging.skin, bones)
     surfaces[SKIN], left_out = without_fragments(surfaces[SKIN], case.imaging.skin, bones)
     bodies, files = [_whole(each) for each in bones.values()], case.imaging.bones
     if names == numbered(len(names)):  # no file name identifies its bone
@@ -162,7 +166,29 @@ def read_surfaces(case: Case) -> tuple[dict[str, Triangles], dict[str, Path], li
         names = names_of_bodies(surfaces[SKIN], bodies)
     paths = {SKIN: case.imaging.skin, **dict(zip(names, files, strict=True))}
     surfaces = {SKIN: surfaces[SKIN], **dict(zip(names, bodies, strict=True))}
-    return surfaces, paths, left_out
+    return surfaces, paths, [*inside, *left_out]
+
+
+def _without_bones(
+    skin: Triangles, path: Path, bones: Mapping[str, Triangles]
+) -> tuple[Triangles, list[str]]:
+    """The skin without the triangles of bones that its file holds too, and a warning that names these bones.
+
+    Where a scan was cut, skin and bones share points, and would be taken for one body.
+    """
+    kept, named = np.ones(len(skin.faces), bool), []
+    for name, bone in bones.items():
+        low, high = bone.points.min(axis=0) - _SAME_MM, bone.points.max(axis=0) + _SAME_MM
+        near = np.flatnonzero(((skin.centroids >= low) & (skin.centroids <= high)).all(axis=1))
+        far, which = cKDTree(skin.centroids[near]).query(bone.centroids, distance_upper_bound=_SAME_MM)
+        same = near[which[np.isfinite(far)]]
+        if len(same) > _HELD * len(bone.faces):
+            kept[same] = False
+            named.append(name)
+    if not named or not kept.any():
+        return skin, []
+    there = f"{path.name} also holds {' and '.join(named)}, which the case gives separately"
+    return skin.part(kept), [f"{there}: left out of the skin"]
 
 
 def without_fragments(
