@@ -79,8 +79,8 @@ class ModelError:
 class KnownErrors:
     """What is known of how far a site's model is off.
 
-    errors : for all rows of the level table; map_share : factor on the usual model error in maps; map_slopes
-        : 1/mm (n_levels, n_parts), derivative of a model's ln speeds with depth; thickness : mm, skin to bone
+    errors : for all rows of the level table; map_share : factor on the usual model error in maps
+    map_slopes (n_levels, n_parts) : 1/mm, of a model's ln speeds by depth; thickness : mm, skin to bone
     bone_as_shown : the models' bone is where the image showed it, so that a wrong speed of sound misplaces
         both
     """
