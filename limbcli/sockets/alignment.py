@@ -85,7 +85,7 @@ def by_landmarks(
     return _alignment(transform, distance)
 
 
-def mirror_image_fits(face: Triangles, skin: Triangles, landmarks: Array, *, seed: int = 7) -> str:
+def mirror_image_warning(face: Triangles, skin: Triangles, landmarks: Array, *, seed: int = 7) -> str:
     """A sentence if the mirror image of a placed face fits the skin better; "" otherwise.
 
     Three landmarks do not tell a socket from its image in their plane: both are placed without a residual.

@@ -94,7 +94,8 @@ def remember(x, facets, N, dN, before):
 
 @njit
 def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m, room, N2, dN2):
-    """Set y, c and m (see the module docstring) of a point in contact; returns |n|.
+    """Set y, c and m (see the module docstring) of a point in contact; returns |n|, and how many nodes the
+    secondary facet has.
 
     N2, dN2, room (16, 3) : working space; arrays made for every point would cost as much as the work. They
         leave with the shape functions of the secondary facet, and in `room` what `_change` takes of it
@@ -117,7 +118,7 @@ def _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m, room, 
         total += y[i] * n[i] / size
     for i in range(3):
         y[i] -= total * n[i] / size
-    return size
+    return size, n2
 
 
 @njit
@@ -137,7 +138,7 @@ def resist(x, facets, N, dN, eps, state, facets2, mu, before, past, pull, earlie
                 continue
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
             nodes2 = facets2[int(row[FACET])]
-            size = _slip(
+            size, _ = _slip(
                 row, before[f, k], x, past, nodes2, multiplier, eps[f], r, g1, g2, n, y, c, m, room, N2, dN2
             )
             length = np.sqrt(y[0] ** 2 + y[1] ** 2 + y[2] ** 2)
@@ -263,11 +264,10 @@ def times(x, facets, N, dN, weights, eps, state, yields, facets2, v, out, mu, be
                 continue
             nodes2 = facets2[int(row[FACET])]
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            size = _slip(
+            size, n2 = _slip(
                 row, before[f, k], x, past, nodes2, pull[f, k], eps[f], r, g1, g2, n, y, c, m, room, N2, dN2
             )
             interpolate(v, facets[f], N[k], dN[k], dr, d1, d2)
-            n2 = facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2)
             interpolate(v, nodes2, N2[:n2], dN2, slip, vs, vt)
             ds, dt = _change(
                 row, before[f, k], pull[f, k], eps[f], mu, yields, 1.0, r, g1, g2, n, y, c, m, dr, d1, d2,
@@ -327,9 +327,9 @@ def _add_block(
     N2, dN2, room = np.empty(MOST_NODES), np.empty((MOST_NODES, 2)), np.empty((16, 3))
     nodes2 = facets2[int(row[FACET])]
     n1 = nodes.shape[0]
-    n2 = min(facet_shape(nodes2, row[NATURAL], row[NATURAL + 1], N2, dN2), most)
     point_geometry(x, nodes, N, dN, r, g1, g2, n)
-    size = _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m, room, N2, dN2)
+    size, n2 = _slip(row, before, x, past, nodes2, pull, eps, r, g1, g2, n, y, c, m, room, N2, dN2)
+    n2 = min(n2, most)
     for b in range(n1 + n2):
         for j in range(3):
             dr[:] = 0.0

@@ -14,7 +14,7 @@ from limbcli.meshing.surfaces import Triangles, merge_points, read_surface
 from limbcli.meshing.whole_limb import HELD
 from limbcli.model import Array, IntArray, LimbModel
 from limbcli.results import StageWriter
-from limbcli.sockets.alignment import Alignment, align, by_landmarks, mirror_image_fits
+from limbcli.sockets.alignment import Alignment, align, by_landmarks, mirror_image_warning
 from limbcli.sockets.centre_line import CentreLine, centre_line, own_line
 from limbcli.sockets.checks import (
     Clearance,
@@ -211,7 +211,7 @@ def _from_file(
         own, on_limb = _pairs(limb, given.landmarks)
         alignment = by_landmarks(own, on_limb, names=list(given.landmarks), where="[socket.landmarks]")
         face = inner_face(surface.moved(alignment.transform), line, where=where)
-        if told := mirror_image_fits(face, skin, on_limb):
+        if told := mirror_image_warning(face, skin, on_limb):
             writer.warnings.append(f"{where}: {told}")
     elif given.align:
         unplaced = inner_face(surface, own_line(surface, where=where), where=where)
