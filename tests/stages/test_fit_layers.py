@@ -15,6 +15,7 @@ from limbcli.fitting.force_curves import LawCurve
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.layer_comparison import PredictedLayers, layers_figure
 from limbcli.measurement.levels import Levels
+from limbcli.reporting.outcome import Outcome, Outcomes
 from limbcli.reporting.sections.deformation import layers
 from limbcli.results import open_stage
 from limbcli.site_model.indentation_model import indentation_model
@@ -67,7 +68,7 @@ def layered_case(root, truth, *, fat_gone=None) -> Case:
 
 def shown(result):
     """What the page says of the layers."""
-    outcomes = SimpleNamespace(of=lambda stage, site: SimpleNamespace(result=result))
+    outcomes = Outcomes((Outcome("fit", "p1", "done", "limbcli fit", result=result),))
     return layers(SimpleNamespace(outcomes=outcomes), SimpleNamespace(name="p1"))
 
 

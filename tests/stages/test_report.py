@@ -823,13 +823,17 @@ def test_a_users_own_report_is_not_replaced(tmp_path, kind):
 
 
 def add_diagnosis(out: Path, *, subject: str = "S1") -> None:
-    stage = {"explanation": [], "chi2_per_nu": 4.0, "held_out": {}, "values": {}}
+    stage = {
+        "explanation": [], "chi2_per_nu": 4.0, "held_out": {}, "values": {}, "intervals_95": {},
+        "open_ends": {}, "c_and_m_over": 1,
+    }  # fmt: skip
     with open_stage(out, "diagnose", subject=subject, site="p1") as writer:
         for name in ("gap", "candidates"):
             small_png(writer.file(name, f"{name}.png"))
         writer.data.update(
             verdict="named", added=["skin_layer"], sentences=["The skin is stiff."], candidates=[],
             not_evaluated={}, blind_spots=[], explanations=[], confidence_set=[],
+            sizes_95={}, common_errors=[],
             shrink=[stage, {**stage, "explanation": ["skin_layer"], "chi2_per_nu": 1.0}],
         )  # fmt: skip
 
@@ -863,7 +867,7 @@ def test_a_diagnosis_that_cannot_be_shown_whole_does_not_stop_the_page(tmp_path)
         json.dumps(sealed(json.loads(path.read_text()) | {"data": {"added": ["x"], "shrink": [{}, {}]}}))
     )
     result = report(case, out=out)
-    assert "Its result cannot be shown (KeyError: &#39;verdict&#39;)" in result.path("page").read_text()
+    assert "Its result cannot be shown (KeyError: &#39;sentences&#39;)" in result.path("page").read_text()
 
 
 def test_the_limit_of_an_interval_is_said_once_and_the_panel_states_the_interval(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -12,10 +13,12 @@ from limbcli.reporting.figures.skin import skin_figure
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, pictures_of, placeholder
+from limbcli.reporting.sections.of_stage import of_stage
+from limbcli.results import StageResult
 
 TITLE = "Does the model deform like a limb?"
-_OF_LAYERS = "Do skin, fat and muscle move as the model moves them?"
 _NOT_RUN = "the model has not been run"
+_CHANCE = 0.01  # probability of the layers' chi-square below which they contradict the model
 
 
 def deformation(page: ReportData, site: SiteMaterial) -> Reportlet:
@@ -68,48 +71,37 @@ def _notes(site: SiteMaterial, state: DeformedState) -> list[str]:
     return notes
 
 
-def layers(page: ReportData, site: SiteMaterial) -> Reportlet | None:
+@of_stage("fit", "layers", "Do skin, fat and muscle move as the model moves them?", silent=True)
+def layers(result: StageResult, _: ReportData, site: SiteMaterial) -> Reportlet | None:
     """Measured and predicted layers, level by level; None if the site has none."""
-    result = page.outcomes.of("fit", site.name).result
-    layers = result.data.get("layers") if result else None
-    if result is None or not isinstance(layers, dict):
+    found = result.data.get("layers")
+    if found is None:
         return None
-    key = f"layers-{site.name}"
-    pictures = pictures_of(result, {"layers_picture": (key, _layer_alt(layers, site.name))})
-    if not pictures:
-        return None
-    p = layers.get("p")
-    fits = not isinstance(p, int | float) or p >= 0.01
+    names, p = ", ".join(found["names"]), found["p"]
+    alt = f"Borders of {names} below the probe at site {site.name}: measured points, predicted bands."
+    moves_as_modelled = p is None or p >= _CHANCE
     return Reportlet(
-        key,
-        _OF_LAYERS,
-        "neutral" if not isinstance(p, int | float) else "fine" if fits else "warning",
-        site.name,
-        pictures=pictures,
+        mood="neutral" if p is None else "fine" if moves_as_modelled else "warning",
+        pictures=pictures_of(result, {"layers_picture": (f"layers-{site.name}", alt)}),
         look_for="points on the borders of the bands at every level: then one tissue moves as the layers do. "
         "The layer on the bone adds no information beyond the depth",
         bad="a layer that gets thinner much faster than its band (fat is softer than the rest), or hardly "
         "thinner at all (skin, or something stiff above the bone)",
-        notes=_layer_notes(layers),
-        warned=() if fits else ("The layers do not move as in the fitted model: see the diagnosis.",),
+        notes=_layer_notes(found),
+        warned=()
+        if moves_as_modelled
+        else ("The layers do not move as in the fitted model: see the diagnosis.",),
     )
 
 
-def _layer_alt(layers: dict[str, Any], site: str) -> str:
-    names = ", ".join(map(str, layers.get("names", [])))
-    return f"Borders of {names} below the probe at site {site}: measured points, predicted bands."
-
-
-def _layer_notes(layers: dict[str, Any]) -> tuple[str, ...]:
-    found = layers.get("measured_less_predicted") or {}
+def _layer_notes(found: Mapping[str, Any]) -> tuple[str, ...]:
     notes = [
-        f"{name}: measured minus predicted {quantity(each.get('last_mm'), 'mm', digits=2)} at the last level "
-        f"({quantity(each.get('last_deviations'), 'deviations', digits=2)})."
-        for name, each in found.items()
-        if isinstance(each, dict)
+        f"{name}: measured minus predicted {quantity(each['last_mm'], 'mm', digits=2)} at the last level "
+        f"({quantity(each['last_deviations'], 'deviations', digits=2)})."
+        for name, each in found["measured_less_predicted"].items()
     ]
     notes.append(
-        f"Chi-square {quantity(layers.get('chi_square'), '')} for {layers.get('n_readings')} readings, with "
-        f"a deviation of {quantity(layers.get('deviation_mm'), 'mm', digits=2)} of each thickness."
+        f"Chi-square {quantity(found['chi_square'], '')} for {found['n_readings']} readings, with "
+        f"a deviation of {quantity(found['deviation_mm'], 'mm', digits=2)} of each thickness."
     )
     return tuple(notes)

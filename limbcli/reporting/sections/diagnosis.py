@@ -19,21 +19,10 @@ _MOODS: Mapping[str, Mood] = {"adequate": "fine", "named": "warning"}
 @of_stage("diagnose", "diagnosis", "What is missing in the model, if anything?")
 def diagnosis(result: StageResult, page: ReportData, site: SiteMaterial) -> Reportlet:
     """Verdict, gap before and after, candidates and undetectable effects."""
-    try:
-        fit = page.outcomes.usable("fit", site.name)
-        return _section(site, result, read_fit_view(fit) if fit else None)
-    except UNLIKE_OURS as error:
-        text = f"Its result cannot be shown ({type(error).__name__}: {error}); run it again."
-        command = page.outcomes.of("diagnose", site.name).command
-        return Reportlet(mood="failed", warned=(text,), command=command)
-
-
-def _section(site: SiteMaterial, result: StageResult, fit: FitView | None) -> Reportlet:
-    data = result.data
-    mood = _MOODS.get(str(data["verdict"]), "warning")
-    first, *others = [str(each) for each in data["sentences"]] or [""]
+    data, fit = result.data, page.outcomes.usable("fit", site.name)
+    first, *others = data["sentences"]
     return Reportlet(
-        mood=mood,
+        mood=_MOODS.get(data["verdict"], "warning"),
         pictures=pictures_of(
             result, {k: (f"diagnosis-{k}-{site.name}", words) for k, words in _PICTURES.items()}
         ),
@@ -43,7 +32,7 @@ def _section(site: SiteMaterial, result: StageResult, fit: FitView | None) -> Re
         "and that the model with the addition (blue) brings back into it",
         bad="one name where the verdict is ambiguous, a misfit that remains, or a candidate right of "
         "the dashed line in the lower panel: these data cannot detect it",
-        notes=(*others, *_against_the_fit(data, fit)),
+        notes=(*others, *_against_the_fit(data, read_fit_view(fit) if fit else None)),
         warned=result.warnings,
         answer=first,
     )
@@ -51,9 +40,9 @@ def _section(site: SiteMaterial, result: StageResult, fit: FitView | None) -> Re
 
 def _against_the_fit(data: Mapping[str, Any], fit: FitView | None) -> tuple[str, ...]:
     """Why c and m of the diagnosis without any effect are not those of the fit."""
-    base, step = next(iter(data["shrink"]), None), fit.last if fit else None
+    base, step = data["shrink"][0], fit.last if fit else None
     m = step.estimate("m") if step else None
-    if base is None or step is None or m is None or "m" not in base.get("open_ends", ()):
+    if step is None or m is None or "m" not in base["open_ends"]:
         return ()
     channels = ", ".join(base["rms"])
     return (
@@ -84,12 +73,12 @@ def in_words(data: Mapping[str, Any]) -> str:
     >>> in_words({"verdict": "adequate", "added": [], "shrink": gap[:1]})
     'adequate'
     """
-    added, shrink = data.get("added"), data.get("shrink", ())  # missing in older results
+    added, shrink = data["added"], data["shrink"]
     if not added or len(shrink) < 2:
-        return str(data.get("verdict", DASH))
+        return str(data["verdict"])
     first = f"{' and '.join(added)} ({data['verdict']}); "
     if data["verdict"] == "ambiguous":  # no member of the set stands for it, and the picture draws them grey
-        n = len(data.get("confidence_set", ()))
+        n = len(data["confidence_set"])
         first = f"ambiguous: {n if n > 1 else 'several'} explanations fit alike; with the most probable, "
     before, after = (each["chi2_per_nu"] for each in (shrink[0], shrink[-1]))
     went = f"went from {before:.2f} to {after:.2f}"
@@ -131,7 +120,7 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
     for stage in data["shrink"]:
         held = stage["held_out"].get("all")
         label = " + ".join(stage["explanation"]) or "base model"
-        if stage.get("c_and_m_over", 1) > 1:
+        if stage["c_and_m_over"] > 1:
             label += f" (c, m: averaged over {stage['c_and_m_over']} explanations)"
         rows.append((
             label, f"{stage['chi2_per_nu']:.2f}", DASH if held is None else f"{held:.2f}",
@@ -142,19 +131,18 @@ def _shrunk(data: Mapping[str, Any]) -> PageTable:
 
 
 def _interval(stage: Mapping[str, Any], name: str) -> str:
-    """Value and interval, without ends that the data leave open; a dash for an older result without these.
+    """Value and interval, without ends that the data leave open; a dash for what was not fitted.
 
     >>> stage = {"values": {"m": 3.9}, "intervals_95": {"m": [1.0, 6.2]}, "open_ends": {"m": [False, False]}}
     >>> _interval(stage, "m"), _interval({**stage, "open_ends": {"m": [True, False]}}, "m")
     ('3.90 (1.00 to 6.20)', '3.90 (up to 6.20)')
     """
-    ends, open_ends = (stage.get(key, {}).get(name) for key in ("intervals_95", "open_ends"))
-    if ends is None or open_ends is None:
+    if name not in stage["open_ends"]:
         return DASH
-    below, above = open_ends
-    reach = f"{ends[0]:.2f} to {ends[1]:.2f}"
+    (low, high), (below, above) = stage["intervals_95"][name], stage["open_ends"][name]
+    reach = f"{low:.2f} to {high:.2f}"
     if below or above:
-        reach = "open" if below and above else f"up to {ends[1]:.2f}" if below else f"from {ends[0]:.2f}"
+        reach = "open" if below and above else f"up to {high:.2f}" if below else f"from {low:.2f}"
     return f"{stage['values'][name]:.2f} ({reach})"
 
 
@@ -172,20 +160,20 @@ def _blind(data: Mapping[str, Any]) -> PageTable:
 
 
 def _sizes(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
-    """Possible size of each effect if it alone is added; empty for an older result without them."""
+    """Possible size of each effect if it alone is added; empty if none has a size."""
     rows = [
         (effect, name, *("open" if end is None else short(end) for end in ends))
-        for effect, sizes in data.get("sizes_95", {}).items() for name, ends in sizes.items()
+        for effect, sizes in data["sizes_95"].items() for name, ends in sizes.items()
     ]  # fmt: skip
     titles = ("effect", "size", "from", "to (95 %)")
     return (table("Size of each effect when it alone is added", titles, rows),) if rows else ()
 
 
 def _common(data: Mapping[str, Any]) -> tuple[PageTable, ...]:
-    """Estimates of the errors that many readings have in common; empty for an older result without them."""
+    """Estimates of the errors that many readings have in common; empty if there are none."""
     rows = [
         (each["name"].removeprefix("model: "), f"{each['value']:+z.1f}", f"{each['deviation']:.1f}")
-        for each in data.get("common_errors", ())
+        for each in data["common_errors"]
     ]
     titles = ("error", "estimate (prior deviations)", "left of the prior's deviation")
     return (table("Errors of model and instruments, fitted with their priors", titles, rows),) if rows else ()

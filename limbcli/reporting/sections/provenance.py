@@ -16,8 +16,7 @@ KEY, TITLE = "provenance", "How was this page made?"
 def provenance(page: ReportData, own: Mapping[str, Any]) -> Reportlet:
     """Commands, solvers, versions and input hashes of all stages, and of this page (`own`)."""
     done = page.outcomes.done
-    system = str(own.get("units", DASH))
-    units = f"Unit system inside: {system}; every other unit is given with its number."
+    units = f"Unit system inside: {own['units']}; every other unit is given with its number."
     return Reportlet(
         KEY,
         TITLE,
@@ -32,14 +31,11 @@ def provenance(page: ReportData, own: Mapping[str, Any]) -> Reportlet:
 def _commands(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
     rows = [
         (
-            label,
-            str(made.get("command", DASH)),
-            str(made.get("limbcli", DASH)),
-            str(made.get("finished_utc", DASH)).replace("T", " ").removesuffix("Z"),
+            label, made["command"], made["limbcli"], made["finished_utc"].replace("T", " ").removesuffix("Z"),
             quantity(made.get("seconds"), "s", digits=2, reason="not yet finished"),
         )
         for label, made in _made(done, own)
-    ]
+    ]  # fmt: skip
     names = ("stage", "command", "limbcli", "finished (UTC)", "took")
     return table("Commands", names, rows, numeric=False)
 
@@ -76,23 +72,15 @@ def _cell_or_why(value: object, why_not: str) -> Cell:
 
 
 def _inputs(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
-    rows = []
-    for label, made in _made(done, own):
-        for name, digest in (made.get("inputs_sha256") or {}).items():
-            rows.append((label, str(name), str(digest)))
+    rows = [(label, *each) for label, made in _made(done, own) for each in made["inputs_sha256"].items()]
     return table("Inputs", ("stage", "input", "SHA-256"), rows, numeric=False)
 
 
 def _versions(done: tuple[Outcome, ...], own: Mapping[str, Any]) -> PageTable:
     versions: dict[str, dict[str, None]] = {}
     for _, made in _made(done, own):
-        packages = made.get("packages") or {}
-        for name, version in {
-            "python": made.get("python"),
-            "platform": made.get("platform"),
-            **packages,
-        }.items():
-            if version:
-                versions.setdefault(str(name), {})[str(version)] = None
+        used = {"python": made["python"], "platform": made["platform"], **made["packages"]}
+        for name, version in used.items():
+            versions.setdefault(name, {})[version] = None
     rows = ((name, ", ".join(found)) for name, found in versions.items())
     return table("Versions", ("package", "version"), rows, numeric=False)

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from limbcli.reporting.numbers import DASH, cell, figures_table
+from limbcli.reporting.numbers import cell, figures_table
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, pictures_of, table
+from limbcli.reporting.reportlet import PageTable, Reportlet, pictures_of, table
 from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.results import StageResult
 
@@ -33,15 +33,16 @@ def segmentation(result: StageResult, page: ReportData) -> Reportlet:
     alt = f"Slices of the imaging of subject {page.case.subject} with outlines of skin and bones."
     if page.case.imaging.assumed:
         alt = f"Sections of the assumed limb of subject {page.case.subject}: skin, bone and beam."
-    tables = tuple(each for each in (_markers(result.data.get("markers")),) if each)
     rest = {key: value for key, value in result.data.items() if key not in _HANDLED}
     figures = figures_table("Figures of the segmentation", rest)
     look_for, bad = _CAPTION_ASSUMED if page.case.imaging.assumed else _CAPTION
     return Reportlet(
         title=TITLE_ASSUMED if page.case.imaging.assumed else "",
-        mood="warning" if result.warnings or _verdict(result.data) not in ("", "good") else "fine",
+        mood="fine"
+        if result.value("quality/verdict") in (None, "good") and not result.warnings
+        else "warning",
         pictures=pictures_of(result, {"contact_sheet": ("segmentation", alt)}),
-        tables=tables,
+        tables=_markers(result.data["markers"]),
         more=(figures,) if figures.rows else (),
         look_for=look_for,
         bad=bad,
@@ -50,23 +51,9 @@ def segmentation(result: StageResult, page: ReportData) -> Reportlet:
     )
 
 
-def _verdict(data: Mapping[str, Any]) -> str:
-    """The segmentation's assessment of itself, or ""."""
-    quality = data.get("quality")
-    return str(quality.get("verdict", "")) if isinstance(quality, Mapping) else ""
-
-
-def _markers(markers: object) -> PageTable | None:
-    if not isinstance(markers, list) or not markers:
-        return None
-    rows: list[tuple[Cell | str, ...]] = []
-    for each in markers:
-        if not isinstance(each, Mapping):
-            continue
-        place = each.get("position_mm")
-        cells = [Cell(DASH, reason="no position in the result")] * 3
-        if isinstance(place, list) and len(place) == 3:
-            cells = [cell(value, digits=4) for value in place]
-        rows.append((str(each.get("number", DASH)), *cells))
+def _markers(markers: Sequence[Mapping[str, Any]]) -> tuple[PageTable, ...]:
+    rows = [
+        (str(each["number"]), *(cell(value, digits=4) for value in each["position_mm"])) for each in markers
+    ]
     names = ("marker", "L (left) [mm]", "P (posterior) [mm]", "S (head) [mm]")
-    return table("Skin markers, patient frame (LPS)", names, rows)
+    return (table("Skin markers, patient frame (LPS)", names, rows),) if rows else ()
