@@ -110,10 +110,23 @@ def at_work(
     opening = Case.open_images if images_only else Case.open
     with foreseen():
         opened = _still_there(case) if isinstance(case, Case) else opening(folder_of(case, "case"))
-        target = default_out(opened.folder) if out is None else folder_of(out)
+    with writing(opened.folder, out, wait=wait, progress=progress) as (target, heard):
+        yield StageCall(opened, target, heard)
+
+
+@contextlib.contextmanager
+def writing(
+    source: Path, out: PathLike | None, *, wait: bool, progress: Heard
+) -> Iterator[tuple[Path, Progress]]:
+    """Lock an output folder for writing; the folder, by default named after the source, and the listener.
+
+    Raises as `at_work`.
+    """
+    with foreseen():
+        target = default_out(source) if out is None else folder_of(out)
         heard = listening(progress)
         with one_writer(target, wait=wait, progress=heard):
-            yield StageCall(opened, target, heard)
+            yield target, heard
 
 
 def _still_there(case: Case) -> Case:

@@ -7,12 +7,21 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar, Literal, Self
 
-from limbcli.api.call import CaseLike, Heard, PathLike, folder_of, foreseen, listening, maybe_path, public
+from limbcli.api.call import (
+    CaseLike,
+    Heard,
+    PathLike,
+    folder_of,
+    foreseen,
+    listening,
+    maybe_path,
+    public,
+    writing,
+)
 from limbcli.api.stage_result import Result, one
 from limbcli.api.tables import Row, Tabular
 from limbcli.config import default_out
 from limbcli.errors import CaseError, LimbcliError
-from limbcli.files.output_lock import one_writer
 from limbcli.options import ELEMENT, FEBIO, OUT, PROGRESS, SOLVER, TEMPLATES, WAIT, Option, SolverName
 from limbcli.results import StageResult
 from limbcli.stages.batching.outcome import BatchOptions, FailedStage
@@ -290,10 +299,8 @@ def cohort(
     """
     from limbcli.stages import cohort as stage
 
-    with foreseen():
-        file, heard = folder_of(table, "table"), listening(progress)
-        target = default_out(file.with_suffix("")) if out is None else folder_of(out)
-        with one_writer(target, wait=wait, progress=heard):
-            return stage.cohort(
-                file, out=target, seed=seed, templates=maybe_path(templates, "templates"), progress=heard
-            )
+    file = folder_of(table, "table")
+    with writing(file.with_suffix(""), out, wait=wait, progress=progress) as (target, heard):
+        return stage.cohort(
+            file, out=target, seed=seed, templates=maybe_path(templates, "templates"), progress=heard
+        )

@@ -9,18 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
 from limbcli.api.call import CaseLike, Heard, PathLike, at_work, maybe_path, names_of
 from limbcli.api.stage_result import Result, each_site, one
-from limbcli.options import (
-    CASE,
-    FEBIO,
-    OUT,
-    PROGRESS,
-    SITES,
-    SOLVER,
-    TEMPLATES,
-    WAIT,
-    Option,
-    SolverName,
-)  # fmt: skip
+from limbcli.options import CASE, FEBIO, OUT, PROGRESS, SITES, SOLVER, TEMPLATES, WAIT, Option, SolverName
 from limbcli.results import StageResult
 
 if TYPE_CHECKING:

@@ -7,21 +7,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from limbcli.api.call import (
-    CaseLike,
-    Heard,
-    PathLike,
-    at_work,
-    folder_of,
-    foreseen,
-    listening,
-    maybe_path,
-)
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, maybe_path, writing
 from limbcli.api.stage_result import Result, each_site, one
 from limbcli.api.tables import Table, plain_rows, read_columns, structured
-from limbcli.config import default_out
 from limbcli.errors import CaseError
-from limbcli.files.output_lock import one_writer
 from limbcli.options import (
     C_KPA,
     CASE,
@@ -242,12 +231,9 @@ def run_feb(
     """
     from limbcli.stages import run as stage
 
-    with foreseen():
-        file, heard = folder_of(feb, "feb"), listening(progress)
-        target = default_out(Path(stage.model_name(file))) if out is None else folder_of(out)
-        with one_writer(target, wait=wait, progress=heard):
-            return stage.run_file(
-                file, out=target, solver=solver, febio=maybe_path(febio, "febio"),
-                options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot),
-                progress=heard,
-            )  # fmt: skip
+    file = folder_of(feb, "feb")
+    with writing(Path(stage.model_name(file)), out, wait=wait, progress=progress) as (target, heard):
+        return stage.run_file(
+            file, out=target, solver=solver, febio=maybe_path(febio, "febio"),
+            options=stage.RunOptions(time_limit_s=time_limit_s, vtu=vtu, keep_plot=keep_plot), progress=heard,
+        )  # fmt: skip

@@ -7,16 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, ClassVar
 
-from limbcli.api.call import (
-    CaseLike,
-    Heard,
-    PathLike,
-    at_work,
-    folder_of,
-    foreseen,
-    listening,
-    public,
-)
+from limbcli.api.call import CaseLike, Heard, PathLike, at_work, folder_of, foreseen, listening, public
 from limbcli.api.stage_result import Result, each_site
 from limbcli.api.tables import Tabular, plain_rows, read_columns
 from limbcli.errors.problems import Problem, errors_of

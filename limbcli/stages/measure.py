@@ -20,26 +20,14 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import Problem, raise_errors
 from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
-from limbcli.measurement.indentation import (
-    Levels,
-    check_levels,
-    check_values,
-    level_warnings,
-    read_levels,
-)
+from limbcli.measurement.indentation import Levels, check_levels, check_values, level_warnings, read_levels
 from limbcli.measurement.levels import LAYERS
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.site_levels import layer_noise
 from limbcli.stages.measuring.holds import Columns, column_problems, force_columns
-from limbcli.stages.measuring.images import (
-    box_of,
-    images_of,
-    measured_speeds,
-    scale_warnings,
-    tissue_between,
-)
+from limbcli.stages.measuring.images import box_of, images_of, measured_speeds, scale_warnings, tissue_between
 from limbcli.stages.measuring.layers_on_images import layer_columns, read_borders, write_pennation
 
 STAGE = "measure"

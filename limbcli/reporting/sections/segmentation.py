@@ -7,7 +7,7 @@ from typing import Any
 
 from limbcli.reporting.numbers import cell, figures_table
 from limbcli.reporting.report_data import ReportData
-from limbcli.reporting.reportlet import PageTable, Reportlet, pictures_of, table
+from limbcli.reporting.reportlet import Cell, PageTable, Reportlet, pictures_of, table
 from limbcli.reporting.sections.of_stage import of_stage
 from limbcli.results import StageResult
 
@@ -52,7 +52,7 @@ def segmentation(result: StageResult, page: ReportData) -> Reportlet:
 
 
 def _markers(markers: Sequence[Mapping[str, Any]]) -> tuple[PageTable, ...]:
-    rows = [
+    rows: list[tuple[Cell | str, ...]] = [
         (str(each["number"]), *(cell(value, digits=4) for value in each["position_mm"])) for each in markers
     ]
     names = ("marker", "L (left) [mm]", "P (posterior) [mm]", "S (head) [mm]")

@@ -10,15 +10,7 @@ from typing import Any
 from limbcli.errors import LimbcliError, LimbError
 from limbcli.errors.pasted_commands import pasted, typed
 from limbcli.files.atomic import atomic_file
-from limbcli.results import (
-    ERROR_FILE,
-    StageResult,
-    error_json,
-    open_stage,
-    plain,
-    provenance,
-    stage_folder,
-)
+from limbcli.results import ERROR_FILE, StageResult, error_json, open_stage, plain, provenance, stage_folder
 
 _KEPT = ("segment",)  # result is kept on failure, as it shows whether the label map has been edited since
 
