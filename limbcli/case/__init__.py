@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import shlex
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from html import escape
 from math import nan
 from pathlib import Path
@@ -18,7 +18,7 @@ from typing import Any, Literal
 from limbcli.case import schema as schema
 from limbcli.case.imaging import check_place, read_imaging
 from limbcli.case.instruments import read_instruments, read_layers
-from limbcli.case.parts import Fibres, Imaging, ModelOptions, Probe, Site, StatedNoise
+from limbcli.case.parts import Imaging, ModelOptions, Probe, Site, StatedNoise, point
 from limbcli.case.reading import CaseReading
 from limbcli.case.socket import read_socket
 from limbcli.case.stated_fibres import check_fibres, read_fibres
@@ -274,36 +274,32 @@ def _read_site(table: object, reading: CaseReading, imaging: Imaging, *, label: 
     levels = states[0].levels if states else paths["levels"]
     if own.problems or levels is None:
         return None
-    site = _make_site(values, noise, paths, levels, instruments, layers, fibres)
-    return replace(site, states=states, unloaded=unloaded)
-
-
-def _make_site(
-    values: Mapping[str, Any], noise: Mapping[str, Any], paths: Mapping[str, Path | None], levels: Path,
-    instruments: Mapping[str, Mapping[str, Any]], layers: Mapping[str, Mapping[str, Any]], fibres: Fibres,
-) -> Site:  # fmt: skip
-    position, long_axis = values["position_mm"], values["long_axis"]
+    position, long_axis, skin_bone = (values[key] for key in ("position_mm", "long_axis", "skin_bone_mm"))
     return Site(
         name=values["name"],
-        position=(float(position[0]), float(position[1]), float(position[2])) if position else None,
+        position=point(position) if position else None,
         marker=values["marker"],
-        long_axis=long_axis if isinstance(long_axis, str) else (
-            float(long_axis[0]), float(long_axis[1]), float(long_axis[2])
-        ),
+        long_axis=long_axis if isinstance(long_axis, str) else point(long_axis),
         levels=levels,
         trace=paths["trace"],
         swe_maps=paths["swe_maps"],
         density_kg_per_m3=float(values["density_kg_per_m3"]),
-        noise=StatedNoise(
-            force=float(noise["force_n"]),
-            depth=float(noise["depth_mm"]),
-            swe_level_fraction=float(noise["swe_level_fraction"]),
-            swe_pixel_fraction=float(noise["swe_pixel_fraction"]),
-            layer=float(noise["layer_mm"]),
-            source=noise["source"],
-        ),
+        noise=_stated_noise(noise),
         instruments=instruments,
         layers=layers,
-        skin_bone=None if values["skin_bone_mm"] is None else float(values["skin_bone_mm"]),
+        skin_bone=None if skin_bone is None else float(skin_bone),
         fibres=fibres,
-    )  # fmt: skip
+        states=states,
+        unloaded=unloaded,
+    )
+
+
+def _stated_noise(table: Mapping[str, Any]) -> StatedNoise:
+    return StatedNoise(
+        force=float(table["force_n"]),
+        depth=float(table["depth_mm"]),
+        swe_level_fraction=float(table["swe_level_fraction"]),
+        swe_pixel_fraction=float(table["swe_pixel_fraction"]),
+        layer=float(table["layer_mm"]),
+        source=table["source"],
+    )

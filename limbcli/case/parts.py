@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from math import pi
 from pathlib import Path
@@ -14,6 +14,12 @@ NOT_IMAGED = "geometry assumed, not imaged"
 # Standard deviation of the scale of a scanned skin, as a fraction. Chosen: the limits of agreement (two
 # standard deviations) of scanned perimeters are below 3.5 % (Cutti et al. 2024, Sensors 24:2350).
 SKIN_SCALE = 0.01
+
+
+def point(values: Iterable[Any]) -> tuple[float, float, float]:
+    """A point's coordinates, or a vector's components."""
+    x, y, z = (float(each) for each in values)
+    return x, y, z
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from limbcli.case import schema as schema
+from limbcli.case.parts import point
 from limbcli.case.reading import CaseReading
 from limbcli.numbers.units import mpa_from_kpa
 
@@ -196,7 +197,7 @@ def _knee(table: object, reading: CaseReading) -> KneeInput | None:
         return None
     centre, mm = values["centre_mm"], 1e3
     return KneeInput(
-        centre=None if centre is None else (float(centre[0]), float(centre[1]), float(centre[2])),
+        centre=None if centre is None else point(centre),
         anterior=float(values["anterior_n"]),
         lateral=float(values["lateral_n"]),
         about_anterior=mm * float(values["about_anterior_n_m"]),
@@ -211,7 +212,7 @@ def _points(table: Mapping[str, Any], reading: CaseReading) -> dict[str, tuple[f
             fix = "give the landmark's place in the socket's frame, mm"
             reading.wrong(f"socket.landmarks.{name} {wrong}", fix)
         else:
-            points[name] = (float(each[0]), float(each[1]), float(each[2]))
+            points[name] = point(each)
     if table and len(table) < _FEWEST:
         what = f"[socket.landmarks] has {len(table)} of the {_FEWEST} or more points that place a socket"
         reading.wrong(what, "add points, by the names of the limb's landmarks")

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from limbcli.case import schema as schema
-from limbcli.case.parts import Fibres, Imaging, Pennation, Site
+from limbcli.case.parts import Fibres, Imaging, Pennation, Site, point
 from limbcli.case.reading import CaseReading
 from limbcli.errors.problems import suggestion
 
@@ -35,10 +35,7 @@ def read_fibres(values: Mapping[str, Any], label: str, reading: CaseReading) -> 
     if direction is not None and tables:
         what = f"{label} has both fibre_direction and [[site.pennation]]"
         reading.wrong(what, "keep the one that was measured")
-    if direction is None:
-        return Fibres(None, tuple(found))
-    x, y, z = (float(each) for each in direction)
-    return Fibres((x, y, z))
+    return Fibres(None, tuple(found)) if direction is None else Fibres(point(direction))
 
 
 def check_fibres(sites: Sequence[Site], imaging: Imaging, reading: CaseReading) -> None:

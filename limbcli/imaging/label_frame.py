@@ -6,8 +6,6 @@ but of another size and position; only the image can reveal this.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -29,17 +27,8 @@ _HU_AIR = -300.0  # HU; below all tissue on CT
 _FIX = "export the label map again with the MRI series as its reference volume, or remove [imaging] mri"
 
 
-@dataclass(frozen=True)
-class Agreement:
-    """own_grid: whether the label map's grid differs from the image's; overlap: Dice, None if unknown."""
-
-    own_grid: bool
-    overlap: float | None
-    problems: tuple[Problem, ...]
-
-
-def compare_frames(labels: Volume, image: Volume, *, where: str, up_to_skin: bool = True) -> Agreement:
-    """Compare position and size of a label map with those of its image.
+def frame_problems(labels: Volume, image: Volume, *, where: str, up_to_skin: bool = True) -> list[Problem]:
+    """What is wrong with the position and size of a label map, compared with those of its image.
 
     On the image's own grid nothing further is checked. A grid of equal matrix size but other position or
     voxel size is an error. Any other grid is used with its own position in the patient frame, and must cover
@@ -48,14 +37,14 @@ def compare_frames(labels: Volume, image: Volume, *, where: str, up_to_skin: boo
     up_to_skin : whether the labels contain the whole limb; without, the bright part is not compared
     """
     if same_grid(labels, image):
-        return Agreement(False, None, ())
+        return []
     if sorted(labels.shape) == sorted(image.shape):
         off = np.linalg.norm(_middle(labels) - _middle(image))
         what = (
             f"the label map has the MRI's matrix but a different position: voxels {_size(labels.spacing)} "
             f"mm, not {_size(image.spacing)} mm; middle {off:.1f} mm off"
         )
-        return Agreement(True, None, (Problem(what, where, _FIX),))
+        return [Problem(what, where, _FIX)]
     limb = np.isin(labels.values, (SOFT_TISSUE, BONE, FAT))
     # fraction of the limb's voxels (a sample) that lie outside the image by more than a voxel
     index = np.argwhere(limb)
@@ -64,16 +53,12 @@ def compare_frames(labels: Volume, image: Volume, *, where: str, up_to_skin: boo
     outside = (at < -1.5).any(axis=1) | (at > np.array(image.shape) + 0.5).any(axis=1)
     beyond = float(outside.mean())
     if beyond > _BEYOND:
-        what = f"{beyond:.0%} of the label map's limb lies outside the MRI series"
-        return Agreement(True, None, (Problem(what, where, _FIX),))
-    if not up_to_skin:
-        return Agreement(True, None, ())
-    overlap = _overlap(labels, limb, image)
+        return [Problem(f"{beyond:.0%} of the label map's limb lies outside the MRI series", where, _FIX)]
+    overlap = _overlap(labels, limb, image) if up_to_skin else 1.0
     if overlap >= _AGREE[0]:
-        return Agreement(True, overlap, ())
+        return []
     what = f"the label map's limb and the limb in the MRI overlap by only {overlap:.0%} (Dice)"
-    severity = "error" if overlap < _AGREE[1] else "warning"
-    return Agreement(True, overlap, (Problem(what, where, _FIX, severity=severity),))  # type: ignore[arg-type]
+    return [Problem(what, where, _FIX, severity="error" if overlap < _AGREE[1] else "warning")]
 
 
 def in_order_of(labels: Volume, image: Volume) -> Volume:

@@ -21,11 +21,10 @@ _GAP = 2.0  # mm: a gap in the fat (septum, vein) up to this width does not end 
 
 @dataclass(frozen=True)
 class Layers:
-    """Median thickness (mm) of skin (dark, outer) and fat along the inward normal, and the skin point."""
+    """Median thickness (mm) of skin (dark, outer) and fat along the inward normal."""
 
     skin: float
     fat: float
-    point: tuple[float, float, float]
 
 
 def layers_at(position: Array, skin: Triangles, fat: Volume) -> Layers | None:
@@ -51,7 +50,7 @@ def layers_at(position: Array, skin: Triangles, fat: Volume) -> Layers | None:
     if len(found) < 0.5 * len(inside):
         return None
     start, end = np.median(found, axis=0)
-    return Layers(float(start), float(end - start), (float(nearest[0]), float(nearest[1]), float(nearest[2])))
+    return Layers(float(start), float(end - start))
 
 
 def _first_run(fat: NDArray[np.bool_]) -> tuple[float, float] | None:

@@ -10,6 +10,7 @@ import numpy as np
 
 from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
+from limbcli.case.parts import point
 from limbcli.errors import CaseError
 from limbcli.errors.problems import raise_errors
 from limbcli.meshing.conforming_layers import Layer
@@ -90,10 +91,8 @@ def mesh(
     progress.event("note", text="reading and repairing the surfaces")
     limb = read_limb(segmented)
     if place is not None:
-        point = skin_point_at(limb, *place, where=f"site {chosen[0].name}")
-        chosen = (
-            replace(chosen[0], position=(float(point[0]), float(point[1]), float(point[2])), marker=None),
-        )
+        found = skin_point_at(limb, *place, where=f"site {chosen[0].name}")
+        chosen = (replace(chosen[0], position=point(found), marker=None),)
     requested = requested_by_options(options)
     results = []
     for each in chosen:

@@ -19,7 +19,7 @@ from limbcli.files.atomic import sha256
 from limbcli.imaging.bones import name_bones
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
-from limbcli.imaging.label_frame import compare_frames, in_order_of
+from limbcli.imaging.label_frame import frame_problems, in_order_of, same_grid
 from limbcli.imaging.labels import segmentation_from, write_labels
 from limbcli.imaging.layer_thickness import layers_at
 from limbcli.imaging.limbs import Side
@@ -211,9 +211,9 @@ def _image_of(case: Case, labels: Volume, path: Path, writer: StageWriter, progr
     if case.imaging.mri is None:
         return labels
     series = read_image(case.imaging.mri, progress=progress).volume
-    agreement = compare_frames(labels, series, where=str(path))
-    _place(agreement.problems, agreement.own_grid, writer)
-    return labels if agreement.own_grid else in_order_of(labels, series)
+    own_grid = not same_grid(labels, series)
+    _place(frame_problems(labels, series, where=str(path)), own_grid, writer)
+    return labels if own_grid else in_order_of(labels, series)
 
 
 def _from_edited(

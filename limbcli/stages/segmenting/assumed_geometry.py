@@ -17,6 +17,7 @@ import numpy as np
 from limbcli.case import Case, Site
 from limbcli.case.noting import unnoted
 from limbcli.case.parts import Shape
+from limbcli.case.parts import point as coordinates
 from limbcli.errors import CaseError
 from limbcli.errors.problems import Problem, errors_of, raise_errors
 from limbcli.imaging.surface import BONE_EDGE, SKIN_EDGE
@@ -191,7 +192,12 @@ def _of_numbers(shape: Shape, case: Case) -> AssumedLimb:
             aside.append(site.name)
             depth, source = seen_depth(site) or (made or depth, source)
         sites[site.name] = ThicknessComparison(
-            measured=depth, source=source, made=made, bone=BONE, point=_triple(point), normal=_triple(normal)
+            measured=depth,
+            source=source,
+            made=made,
+            bone=BONE,
+            point=coordinates(point),
+            normal=coordinates(normal),
         )
     warnings = tuple(
         f"site {name} is not anterior, where [imaging] shape gives the layers: the tissue "
@@ -222,8 +228,8 @@ def _of_a_scan(case: Case) -> AssumedLimb:
             each, (depth, source) = seen[name], _known(case.site(name))
             made = rod.depth_under(each.point, -each.normal)
             sites[name] = ThicknessComparison(
-                measured=depth, source=source, made=made, bone=bone, point=_triple(each.point),
-                normal=_triple(each.normal),
+                measured=depth, source=source, made=made, bone=bone, point=coordinates(each.point),
+                normal=coordinates(each.normal),
             )  # fmt: skip
             warnings += _disagreement(name, depth, made, names)
     return AssumedLimb(surfaces=whole, bones=bones, sites=sites, notes=tuple(notes), warnings=tuple(warnings))
@@ -250,8 +256,3 @@ def _known(site: Site) -> tuple[float, str]:
     found = seen_depth(site)
     assert found is not None
     return found
-
-
-def _triple(point: Any) -> tuple[float, float, float]:
-    x, y, z = (float(each) for each in point)
-    return x, y, z

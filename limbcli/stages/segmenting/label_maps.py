@@ -13,7 +13,7 @@ from limbcli.errors.problems import Problem, errors_of
 from limbcli.imaging.dicom import Series
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_map
-from limbcli.imaging.label_frame import compare_frames, in_order_of
+from limbcli.imaging.label_frame import frame_problems, in_order_of, same_grid
 from limbcli.imaging.labels import segmentation_from
 from limbcli.imaging.limbs import Side
 from limbcli.imaging.segmentation import BONE, FAT, SOFT_TISSUE, Segmentation, SegmentationHints, segment_limb
@@ -69,9 +69,8 @@ def labelled_limb(case: Case, *, side: Side, progress: Progress = SILENT) -> Lab
         problems += unplaced(labels, where, noun="label map")
     else:
         problems += unplaced(series.volume, str(case.imaging.mri))
-        agreement = compare_frames(labels, series.volume, where=where, up_to_skin=read.up_to_skin)
-        own_grid = agreement.own_grid
-        problems += agreement.problems
+        own_grid = not same_grid(labels, series.volume)
+        problems += frame_problems(labels, series.volume, where=where, up_to_skin=read.up_to_skin)
         if not read.up_to_skin and not errors_of(problems):
             labels, more, found = _up_to_skin(labels, series, side, where, progress)
             lines += more
