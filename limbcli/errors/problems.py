@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from typing import Literal, TypeVar
@@ -76,6 +76,15 @@ def checked(value: Checked | None, problems: Iterable[Problem], family: type[Any
 
 
 SPEED_FROM_KPA = "sqrt(E/3) of a Young's modulus E in kPa, or the square root of a shear modulus in kPa"
+
+
+def shortened(names: Sequence[str], *, most: int = 4) -> str:
+    """The first of several names, and how many more there are.
+
+    >>> shortened(["a", "b", "c"], most=2)
+    'a, b and 1 more'
+    """
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
 
 
 def suggestion(name: str, known: Iterable[str], other_words: Mapping[str, str] | None = None) -> str:

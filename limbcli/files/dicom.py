@@ -12,8 +12,9 @@ import zlib
 from pathlib import Path
 
 import pydicom
+from pydicom.datadict import dictionary_description, tag_for_keyword
 from pydicom.dataset import Dataset, FileDataset
-from pydicom.errors import InvalidDicomError
+from pydicom.errors import BytesLengthException, InvalidDicomError
 from pydicom.filereader import read_file_meta_info
 from pydicom.uid import (
     DeflatedExplicitVRLittleEndian,
@@ -22,8 +23,10 @@ from pydicom.uid import (
     ImplicitVRLittleEndian,
 )
 
-from limbcli.files.unpacking import UnpackingBudget
+from limbcli.files.unpacking import LIBRARY_ERRORS, UnpackingBudget
 
+# what pydicom raises on corrupt files
+DICOM_DAMAGED = (*LIBRARY_ERRORS, BytesLengthException, InvalidDicomError)
 _PREAMBLE, _MAGIC = 128, b"DICM"
 _GROUP_LENGTH = 12  # bytes of the element (0002,0000)
 
@@ -57,6 +60,15 @@ def read_dicom(path: Path) -> FileDataset:
         explicit = ExplicitVRLittleEndian if is_little else ExplicitVRBigEndian
         dataset.file_meta.TransferSyntaxUID = ImplicitVRLittleEndian if is_implicit else explicit
     return dataset
+
+
+def tag_words(keyword: str) -> str:
+    """
+    >>> tag_words("PixelSpacing")
+    'Pixel Spacing (0028,0030)'
+    """
+    tag = tag_for_keyword(keyword) or 0
+    return f"{dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
 
 
 def require_affordable(dataset: Dataset) -> None:

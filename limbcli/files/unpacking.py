@@ -25,6 +25,11 @@ DAMAGED = (
     OSError, EOFError, ValueError, KeyError, RuntimeError, NotImplementedError, zlib.error, lzma.LZMAError,
     struct.error, zipfile.BadZipFile, tokenize.TokenError, SyntaxError,  # the latter by headers of .npy
 )  # fmt: skip
+# what image libraries raise on corrupt files
+LIBRARY_ERRORS = (
+    OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
+    RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
+)  # fmt: skip
 _CHUNK = 1 << 20
 
 

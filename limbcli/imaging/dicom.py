@@ -13,30 +13,21 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydicom.datadict import dictionary_description, tag_for_keyword
 from pydicom.dataset import Dataset
 from pydicom.errors import InvalidDicomError
 
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
-from limbcli.files.dicom import has_preamble, read_dicom
+from limbcli.errors.problems import shortened
+from limbcli.files.dicom import DICOM_DAMAGED, has_preamble, read_dicom, tag_words
 from limbcli.imaging.dicom_identity import one_body, public_name
-from limbcli.imaging.frames import (
-    DICOM_DAMAGED,
-    FLOAT_PIXELS,
-    Slice,
-    damaged,
-    should_be_image,
-    slices_of,
-    turned_over,
-)
+from limbcli.imaging.frames import FLOAT_PIXELS, Slice, damaged, should_be_image, slices_of, turned_over
 from limbcli.imaging.stacking import stack
 from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
 _PIXELS = ("PixelData", *FLOAT_PIXELS)
-_NAMED = 4  # so many files or values a message names
 _PARALLEL = 1e-3  # largest change of a direction cosine between slices of one series
 _OWN_UIDS = 0.4  # with more distinct series UIDs than this fraction of the images, the UIDs are uninformative
 _DOUBLED = 0.05  # slices closer than this fraction of the slice spacing are duplicates
@@ -163,7 +154,7 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
     raise CaseError(
         f"there is no DICOM file among the {len(paths)} files" if paths else "the folder is still empty",
         where=str(folder),
-        fix=f"name the file itself in [imaging] mri: the folder holds {_some(volumes)}"
+        fix=f"name the file itself in [imaging] mri: the folder holds {shortened(volumes)}"
         if volumes
         else "put the files of one DICOM series there; [imaging] mri gives the folder",
     )
@@ -227,7 +218,8 @@ def _same_shape(slices: list[Slice], folder: Path) -> None:
         ((usual, _),) = Counter(kinds).most_common(1)
         odd = [each.name for each, kind in zip(slices, kinds, strict=True) if kind != usual]
         raise CaseError(
-            f"{len(odd)} of {len(slices)} images differ in size or Pixel Spacing (0028,0030): {_some(odd)}",
+            f"{len(odd)} of {len(slices)} images differ in size or Pixel Spacing (0028,0030): "
+            f"{shortened(odd)}",
             where=str(folder),
             fix="remove the images that do not belong to the volume (localiser, screenshot)",
         )
@@ -244,7 +236,7 @@ def _common_normal(slices: list[Slice], folder: Path) -> Array:
     if odd:
         raise CaseError(
             f"{len(odd)} of {len(slices)} slices are not parallel to the first, by Image Orientation "
-            f"(0020,0037): {_some(odd)}",
+            f"(0020,0037): {shortened(odd)}",
             where=str(folder),
             fix="remove the slices that do not belong to the volume (localiser)",
             n_not_parallel=len(odd),
@@ -264,10 +256,8 @@ def _separately(datasets: list[tuple[str, Dataset]]) -> str:
     for keyword in _OF_CONTRAST:
         found = Counter(str(each.get(keyword, "none")).translate(_PLAIN)[:_SHORT] for each in images)
         if 1 < len(found) <= _MOST_CONTRASTS:
-            tag = tag_for_keyword(keyword) or 0
             listed = ", ".join(f"{value} ({count} images)" for value, count in found.most_common())
-            name = f"{dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
-            return f"{fix}; these differ in {name}: {listed}"
+            return f"{fix}; these differ in {tag_words(keyword)}: {listed}"
     return fix
 
 
@@ -295,7 +285,7 @@ def _slice_step(
         pairs = np.flatnonzero(gaps < max(_DOUBLED * step, 1e-3))
         named = [f"{slices[n].name} = {slices[n + 1].name}" for n in pairs]
         raise CaseError(
-            f"{len(pairs)} slices lie at the same position as another: {_some(named)}",
+            f"{len(pairs)} slices lie at the same position as another: {shortened(named)}",
             where=str(folder),
             fix=_separately(datasets),
             n_doubled=len(pairs),
@@ -305,7 +295,7 @@ def _slice_step(
         named = [f"between {slices[n].name} and {slices[n + 1].name} ({gaps[n]:.2f} mm)" for n in wide]
         missing = int(np.round(gaps[wide] / step - 1).sum())
         raise CaseError(
-            f"about {missing} slice(s) are missing: {_some(named)}; the usual distance is {step:.2f} mm",
+            f"about {missing} slice(s) are missing: {shortened(named)}; the usual distance is {step:.2f} mm",
             where=str(folder),
             fix="copy the whole series again"
             + "; if they were taken at this distance, give their Instance Numbers (0020,0013)"
@@ -351,7 +341,3 @@ def facts_of(modality: str, volume: Volume) -> dict[str, Any]:
         "matrix": list(volume.shape[:2]),
         "spacing_mm": [round(float(each), 4) for each in volume.spacing],
     }
-
-
-def _some(names: list[str]) -> str:
-    return ", ".join(names[:_NAMED]) + (f" and {len(names) - _NAMED} more" if len(names) > _NAMED else "")

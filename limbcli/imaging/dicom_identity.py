@@ -12,9 +12,9 @@ from pathlib import Path
 from pydicom.dataset import Dataset
 
 from limbcli.errors import CaseError
+from limbcli.errors.problems import shortened
 
 _OWN = 0.4  # with more distinct values than this fraction of the images, a tag is uninformative
-_SHOWN = 4
 _WORD = 3  # letters: shorter parts of a patient's name or id are not searched for in a file name
 _TAGS = (
     ("PatientID", "Patient ID (0010,0020)", "patient"),
@@ -50,10 +50,8 @@ def one_body(datasets: list[tuple[str, Dataset]], folder: Path) -> tuple[str, ..
             continue
         usual = counts.most_common(1)[0][0]
         odd = [name for (name, _), value in zip(datasets, values, strict=True) if value not in ("", usual)]
-        more = f" and {len(odd) - _SHOWN} more" if len(odd) > _SHOWN else ""
         raise CaseError(
-            f"{len(odd)} of {len(datasets)} images are of another {noun}, by {tag}: "
-            f"{', '.join(odd[:_SHOWN])}{more}",
+            f"{len(odd)} of {len(datasets)} images are of another {noun}, by {tag}: {shortened(odd)}",
             where=str(folder),
             fix="remove them, and copy the patient's own series again; if it is the same patient and scan, "
             "give all images the same tag",

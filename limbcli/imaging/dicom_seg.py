@@ -16,8 +16,7 @@ from numpy.typing import NDArray
 from pydicom.dataset import Dataset
 
 from limbcli.errors import CaseError
-from limbcli.files.dicom import read_dicom, require_affordable
-from limbcli.imaging.frames import DICOM_DAMAGED
+from limbcli.files.dicom import DICOM_DAMAGED, read_dicom, require_affordable
 from limbcli.imaging.volume import MOST_VOXELS, require_placed, require_unit_directions
 from limbcli.model import Array
 

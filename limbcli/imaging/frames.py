@@ -6,17 +6,14 @@ import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
-import pydicom
 from numpy.typing import NDArray
 from pydicom.dataset import Dataset
-from pydicom.errors import BytesLengthException, InvalidDicomError
 
 from limbcli.errors import CaseError
-from limbcli.files.dicom import require_affordable
-from limbcli.imaging.volume import DAMAGED, require_unit_directions
+from limbcli.files.dicom import DICOM_DAMAGED, require_affordable, tag_words
+from limbcli.imaging.volume import require_unit_directions
 from limbcli.model import Array
 
-DICOM_DAMAGED = (*DAMAGED, BytesLengthException, InvalidDicomError)
 _EXPORT = "export the series again with its geometry, or use a label map or surfaces instead"
 _PLUGINS = "pip install pylibjpeg pylibjpeg-libjpeg pylibjpeg-openjpeg, or export it uncompressed"
 _STORAGE = ("Rows", "Columns", "BitsAllocated", "PixelRepresentation")
@@ -134,8 +131,7 @@ def _plane(
 
 def _numbers(dataset: Dataset, keyword: str, count: int, name: str) -> Array:
     """A tag's numbers; a missing or invalid tag is an error that names it."""
-    tag = pydicom.datadict.tag_for_keyword(keyword) or 0
-    label = f"{pydicom.datadict.dictionary_description(keyword)} ({tag >> 16:04X},{tag & 0xFFFF:04X})"
+    label = tag_words(keyword)
     try:
         values = np.array([float(each) for each in dataset[keyword].value], dtype=float)
     except (KeyError, TypeError, ValueError) as error:
@@ -226,10 +222,8 @@ def _complete(dataset: Dataset, name: str) -> None:
     in_floats = any(each in dataset for each in FLOAT_PIXELS)
     for keyword in _STORAGE:
         if keyword not in dataset and not (in_floats and keyword == "PixelRepresentation"):
-            tag = pydicom.datadict.tag_for_keyword(keyword) or 0
-            described = pydicom.datadict.dictionary_description(keyword)
             raise CaseError(
-                f"{described} ({tag >> 16:04X},{tag & 0xFFFF:04X}) is missing, so the pixels cannot be read",
+                f"{tag_words(keyword)} is missing, so the pixels cannot be read",
                 where=name,
                 fix="export the series again, or use a label map or surfaces instead",
             )

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from limbcli.case.label_sources import LabelSource
 from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
+from limbcli.errors.problems import shortened
 from limbcli.files.dicom import has_preamble
 from limbcli.imaging.dicom_seg import read_dicom_seg
 from limbcli.imaging.label_frame import in_order_of, same_grid
@@ -256,14 +257,13 @@ def _not_understood(
     unknown: Sequence[Segment], segments: Sequence[Segment], source: LabelSource
 ) -> CaseError:
     names = [each.name for each in unknown if each.name]
-    shown = unknown[:_SHOWN]
-    more = f" and {len(unknown) - _SHOWN} more" if len(unknown) > _SHOWN else ""
+    titles = [each.title for each in unknown]
+    listed = shortened(titles, most=_SHOWN)
     if names:
-        listed = ", ".join(each.title for each in shown) + more
         what = f"the segment name(s) {listed} are not recognised, or refer to several kinds of tissue"
     else:
-        what = f"the label map contains the value(s) {', '.join(each.title for each in shown)}{more}"
-    lines = ", ".join(f'{_key(each)} = "ignore"' for each in shown)
+        what = f"the label map contains the value(s) {listed}"
+    lines = ", ".join(f'{_key(each)} = "ignore"' for each in unknown[:_SHOWN])
     table = "" if source.preset or source.names else f' with file = "{source.path.name}"'
     fix = f"in {_TABLE}{table}, say what each is, or that it is not needed: {lines} (or {WORDS})"
     numbers = [each.number for each in segments if each.number is not None and not each.name]
@@ -274,7 +274,7 @@ def _not_understood(
         fix += f"; if one of these programs wrote it: preset = {' or '.join(map(repr, presets[:4]))}"
     if table and len(numbers) == len(segments):
         fix = f"use 0 outside, 1 soft tissue, 2 bone, 3 marker, 4 fat; or {fix}"
-    return CaseError(what, where=str(source.path), fix=fix, unknown=[each.title for each in unknown])
+    return CaseError(what, where=str(source.path), fix=fix, unknown=titles)
 
 
 def _key(segment: Segment) -> str:

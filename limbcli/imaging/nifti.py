@@ -26,10 +26,9 @@ from pydicom.errors import InvalidDicomError
 from limbcli.case.label_tables import names_by_number
 from limbcli.errors import CaseError
 from limbcli.files.detached_data import beside, image_of_pair
-from limbcli.files.unpacking import DAMAGED as NOT_UNPACKED
-from limbcli.files.unpacking import UnpackingBudget
+from limbcli.files.unpacking import DAMAGED, LIBRARY_ERRORS, UnpackingBudget
 from limbcli.files.xml import own_text, parsed_xml
-from limbcli.imaging.volume import DAMAGED, MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
+from limbcli.imaging.volume import MOST_VOXELS, RAS_FROM_LPS, Volume, require_placed
 
 Opened = nib.Nifti1Pair | nib.MGHImage  # Nifti1Image and those of NIfTI-2 are Nifti1Pairs
 # Fraction of the smallest side of a voxel: grids whose corners are this close are the same.
@@ -48,7 +47,7 @@ _MGH_1, _GOOD_RAS = b"\0\0\0\1", slice(28, 30)  # its version, and where goodRAS
 _MOST_VALUES = 3 * MOST_VOXELS  # a map of directions has three in each voxel
 _MOST_BEFORE, _MOST_AFTER = 100_000_000, 1_000_000  # bytes of a packed file before and after its values
 _DAMAGED = (
-    ImageFileError, HeaderDataError, WrapStructError, InvalidDicomError, MGHError, *DAMAGED, *NOT_UNPACKED,
+    ImageFileError, HeaderDataError, WrapStructError, InvalidDicomError, MGHError, *DAMAGED, *LIBRARY_ERRORS,
 )  # fmt: skip
 _INTENT_LABEL = 1002  # NIFTI_INTENT_LABEL: values are numbers of labels
 _ZOOM = 0.02  # largest relative difference of voxel sizes within one header

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -13,11 +12,6 @@ from limbcli.errors import CaseError
 from limbcli.errors.problems import Problem
 from limbcli.model import Array
 
-# Exceptions that image libraries raise on corrupt files.
-DAMAGED = (
-    OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
-    RuntimeError, NotImplementedError, struct.error, MemoryError,
-)  # fmt: skip
 # largest number of voxels of an image: a whole leg at 0.4 mm; more would not be a limb, nor fit into memory
 MOST_VOXELS = 300_000_000
 RAS_FROM_LPS = np.diag([-1.0, -1.0, 1.0, 1.0])

@@ -8,8 +8,6 @@ pixel, else its top.
 
 from __future__ import annotations
 
-import struct
-import zlib
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -18,14 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import MeasurementError
+from limbcli.files.unpacking import LIBRARY_ERRORS
 
 _CM = 3  # code of PhysicalUnitsXDirection for cm
 _TISSUE = 1  # code of RegionSpatialFormat for two-dimensional tissue
-# Exceptions that image libraries raise on corrupt files.
-_DAMAGED = (
-    OSError, ValueError, TypeError, AttributeError, LookupError, ArithmeticError, EOFError, AssertionError,
-    RuntimeError, NotImplementedError, struct.error, zlib.error, MemoryError,
-)  # fmt: skip
 _WITH_PREVIEW = "MPO"  # a camera's JPEG: further frames are smaller copies of the picture
 _DEEP = ("I", "F")  # prefixes of Pillow's modes with one channel of 16 or 32 bits, which it would clip at 255
 _OVER_EDGE = 2  # pixels by which a box may extend beyond the edge of its region
@@ -244,7 +238,7 @@ def _read_picture(path: Path, frame: int | None) -> _Frame:
             if picture.mode[:1] in _DEEP:
                 return _to_bytes(np.asarray(picture), inverted=False), (), number, None
             return np.asarray(picture.convert("RGB"), dtype=np.uint8), (), number, None
-    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, *_DAMAGED) as error:
+    except (UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, *LIBRARY_ERRORS) as error:
         fix = "export the frame as DICOM, PNG or BMP"
         raise MeasurementError(f"the image cannot be read ({error})", where=str(path), fix=fix) from error
 
@@ -254,11 +248,11 @@ def _read_dicom(path: Path, frame: int | None) -> _Frame:
 
     The error for a corrupt file shows no values of it, which may identify the patient.
     """
-    from pydicom.errors import BytesLengthException, InvalidDicomError
+    from limbcli.files.dicom import DICOM_DAMAGED
 
     try:
         return _dicom_frame(path, frame)
-    except (*_DAMAGED, BytesLengthException, InvalidDicomError) as error:
+    except DICOM_DAMAGED as error:
         raise MeasurementError(
             f"the DICOM image cannot be read ({type(error).__name__})",
             where=str(path),
