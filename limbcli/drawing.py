@@ -5,6 +5,7 @@ from __future__ import annotations
 import textwrap
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,7 @@ from limbcli.model import Array
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.collections import Collection
+    from matplotlib.container import ErrorbarContainer
     from matplotlib.figure import Figure
     from matplotlib.gridspec import GridSpec
     from matplotlib.path import Path as Outline
@@ -151,10 +153,14 @@ def write_data(figure: Figure, path: Path) -> None:
 
 def figure_data(figure: Figure) -> Iterator[Row]:
     """The rows that `write_data` writes, with unformatted numbers."""
+    from matplotlib.container import ErrorbarContainer
+
     panels = [each for each in figure.axes if each.get_label() != _COLOUR_BAR]
     for k, axes in enumerate(panels, 1):
         names = (str(axes.get_label()) or _title(axes) or k, *_axis_words(axes, figure))
-        for row in (*_lines(axes), *_collections(axes), *_bars(axes), *_pixels(axes)):
+        error_bars = [each for each in axes.containers if isinstance(each, ErrorbarContainer)]
+        parts = _lines(axes, error_bars), _collections(axes, error_bars), _bars(axes), _pixels(axes)
+        for row in chain(*parts):
             yield (*names, *row)
 
 
@@ -188,11 +194,8 @@ def _shared(alike: list[Axes], label: str) -> str:
     return next((_plain_words(text) for each in alike if (text := getattr(each, label)())), "")
 
 
-def _lines(axes: Axes) -> Iterator[Row]:
+def _lines(axes: Axes, error_bars: Sequence[ErrorbarContainer]) -> Iterator[Row]:
     """Lines, except the caps of error bars."""
-    from matplotlib.container import ErrorbarContainer
-
-    error_bars = [each for each in axes.containers if isinstance(each, ErrorbarContainer)]
     caps = {line for each in error_bars for line in each.lines[1]}
     of: dict[Any, Any] = {each.lines[0]: each for each in error_bars}
     for k, line in enumerate(axes.lines):
@@ -205,11 +208,9 @@ def _lines(axes: Axes) -> Iterator[Row]:
             yield "line", name, n, a, b, None
 
 
-def _collections(axes: Axes) -> Iterator[Row]:
+def _collections(axes: Axes, error_bars: Sequence[ErrorbarContainer]) -> Iterator[Row]:
     from matplotlib.collections import LineCollection, TriMesh
-    from matplotlib.container import ErrorbarContainer
 
-    error_bars = [each for each in axes.containers if isinstance(each, ErrorbarContainer)]
     of: dict[Any, Any] = {bars: each for each in error_bars for bars in each.lines[2]}
     for k, each in enumerate(axes.collections):
         array = each.get_array()

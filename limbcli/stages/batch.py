@@ -24,7 +24,7 @@ from limbcli.provenance.staleness import Chain
 from limbcli.results import ERROR_FILE, StageResult, read_result, stage_folder
 from limbcli.stages.batching.fits_on_demand import FitOnDemand, extras, made_by_hand
 from limbcli.stages.batching.outcome import BatchOptions, CaseOutcome, FailedStage, keep_error, report_failure
-from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps
+from limbcli.stages.batching.steps import FIT_STATES, SITE_STAGES, parts_of, path_of, site_steps, templates_of
 from limbcli.stages.machine.kernels import compile_ahead
 
 DIAGNOSE = "diagnose"
@@ -155,7 +155,7 @@ class CaseRun:
         made += self._in_socket(first, keys)
         failed = [str(each.error) for each in self.failures]
         requested = self._requested("report", None)
-        templates = self.options.templates or path_of(requested.get("templates"))
+        templates, _ = templates_of(self.options, requested)
         own = [templates] if templates else []
         shown = self.case.raw  # also what no stage asks for, such as the name of the probe
         everything = key_of(first, *keys, *made, *self._records(), shown, failed, *own)
@@ -186,27 +186,22 @@ class CaseRun:
             for site in self.case.sites
             if (stage_folder(self.out, "fit", site.name) / "fit.json").is_file()
         ]
-        templates = {
-            name: self.options.templates or path_of(each.get("templates")) for name, each in asked.items()
-        }
-        used = {
-            name: [each / "feb"] if each and (each / "feb").is_dir() else []
-            for name, each in templates.items()
-        }
-        key = key_of("limb", first, *keys, *used["limb"], fits, *parts_of(sized))
+        of_limb, used_by_limb = templates_of(self.options, asked["limb"])
+        of_socket, used_by_socket = templates_of(self.options, asked["socket"])
+        key = key_of("limb", first, *keys, *used_by_limb, fits, *parts_of(sized))
 
         def model() -> object:
             options = options_of(LimbOptions, sized)
-            return limb(self.case, options=options, templates=templates["limb"], **self._common())
+            return limb(self.case, options=options, templates=of_limb, **self._common())
 
         def pressed() -> object:
             options = options_of(SocketOptions, {"intervals": False, **asked["socket"]})
-            return socket(self.case, options=options, templates=templates["socket"], **self._common())
+            return socket(self.case, options=options, templates=of_socket, **self._common())
 
         if not self._stage("limb", None, key, model):
             self._skip(("socket",), None, because="limb")
             return [key]
-        own = key_of("socket", key, *used["socket"], *parts_of(asked["socket"]))
+        own = key_of("socket", key, *used_by_socket, *parts_of(asked["socket"]))
         self._stage("socket", None, own, pressed, keeps_manual=True)  # perhaps with intervals
         return [key, own]
 

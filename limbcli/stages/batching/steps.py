@@ -44,8 +44,7 @@ def site_steps(
     meshed = {**requested["mesh"], **({"element": options.element} if options.element else {})}
     mesh_request = options_of(MeshRequest, meshed)
     tissue, ran, fitted = (requested[each] for each in SITE_STAGES[1:])
-    templates = options.templates or path_of(tissue.get("templates"))
-    of_model = [templates / "feb"] if templates and (templates / "feb").is_dir() else []
+    templates, of_model = templates_of(options, tissue)
     fit_options = options_of(FitOptions, fitted)
     if options.templates:
         fit_options = replace(fit_options, templates=templates)
@@ -77,6 +76,12 @@ def site_steps(
         of_states = options_of(FitOptions, several)
         steps.append(SiteStep(FIT_STATES, parts, lambda: fit_states(case, options=of_states, **common)))
     return steps
+
+
+def templates_of(options: BatchOptions, requested: Requested) -> tuple[Path | None, list[Path]]:
+    """The folder of templates, and its part that a model depends on, where there is one."""
+    folder = options.templates or path_of(requested.get("templates"))
+    return folder, [folder / "feb"] if folder and (folder / "feb").is_dir() else []
 
 
 def parts_of(requested: Requested) -> tuple[object, ...]:
