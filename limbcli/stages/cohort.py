@@ -28,7 +28,7 @@ from limbcli.cohorts.result import (
     summary_lines,
 )
 from limbcli.cohorts.sections import PICTURES, cohort_page, is_ours
-from limbcli.cohorts.table import CohortTable
+from limbcli.cohorts.table import LAYERS, CohortTable
 from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import checked, raise_errors
 from limbcli.files.atomic import atomic_set, sha256
@@ -155,9 +155,9 @@ def _data(
         "n_incomplete": table.n_incomplete,
         "identification_processor_s_per_row": seconds / len(table),
         "noise": {
-            "layer_shortened_mm": dict(zip(("skin", "fat", "muscle"), noise.layers.shortened, strict=True)),
-            "edge_mm": dict(zip(("skin", "fat", "muscle"), noise.layers.edge, strict=True)),
-            "from_data": dict(zip(("skin", "fat", "muscle"), noise.layers.from_data, strict=True)),
+            "layer_shortened_mm": dict(zip(LAYERS, noise.layers.shortened, strict=True)),
+            "edge_mm": dict(zip(LAYERS, noise.layers.edge, strict=True)),
+            "from_data": dict(zip(LAYERS, noise.layers.from_data, strict=True)),
             "ln_stiffness": noise.slope,
             "ln_stiffness_from_data": noise.slope_from_data,
         },

@@ -26,7 +26,15 @@ from limbcli.reporting.outcome import SITE_STAGES, Failure, failure_of
 from limbcli.reporting.page import data_uri, render
 from limbcli.reporting.reportlet import Cell, Mood, worst_mood
 from limbcli.reporting.sections.parameters import interval_text, with_verdict
-from limbcli.results import ERROR_FILE, UNLIKE_OURS, StageResult, provenance, read_result, stage_folder
+from limbcli.results import (
+    ERROR_FILE,
+    UNLIKE_OURS,
+    StageResult,
+    provenance,
+    read_result,
+    result_if_there,
+    stage_folder,
+)
 
 INDEX_FILE = "index.html"
 
@@ -140,9 +148,8 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
         state = f"{failures[0]['stage']} failed: {failures[0]['what'].splitlines()[0]}"
         shown, view = tuple(failure_of(each) for each in failures), _fitted_all_the_same(out, report, site)
         return replace(row, mood="failed", state=state, view=view, failures=shown)
-    try:
-        fitted = read_result(out, "fit", site=site)
-    except CaseError:
+    fitted = result_if_there(out, "fit", site=site)
+    if fitted is None:
         return row
     if fitted.subject != report.subject:  # consistent with the report page
         return replace(row, state=f"the fit is of {fitted.subject}")
@@ -155,13 +162,10 @@ def _row(out: Path, report: StageResult, site: str, link: str) -> IndexRow:
 
 def _fitted_all_the_same(out: Path, report: StageResult, site: str) -> FitView | None:
     """The fit that the page shows although something else (such as a joint fit or a diagnosis) failed."""
-    if report.value("stages") is None or report.data["stages"].get(f"fit {site}") != "done":
+    if report.value(f"stages/fit {site}") != "done":
         return None
-    try:
-        fitted = read_result(out, "fit", site=site)
-    except CaseError:
-        return None
-    return read_fit_view(fitted) if fitted.subject == report.subject else None
+    fitted = result_if_there(out, "fit", site=site)
+    return read_fit_view(fitted) if fitted is not None and fitted.subject == report.subject else None
 
 
 def _row_without_report(out: Path, error: CaseError) -> IndexRow:

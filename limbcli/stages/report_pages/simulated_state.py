@@ -104,7 +104,7 @@ def _shortest(elements: Mapping[str, Table], numbers: IntArray) -> Array | None:
     gradient = np.stack([table.column(name)[-1] for name in _GRADIENT], axis=1).reshape(-1, 3, 3)
     size = int(max(numbers.max(), table.items.max())) + 1
     every = np.full(size, np.nan)
-    every[table.items] = principal_stretches(gradient)[:, 2]
+    every[table.items] = np.linalg.svd(gradient, compute_uv=False)[:, 2]  # the principal stretches
     return every[numbers]
 
 
@@ -146,22 +146,6 @@ def read_residuals(result: StageResult) -> Residuals | None:
         return None
     steps, now, target = np.array(found, dtype=float).T
     return Residuals(now / target, steps.astype(np.int64))
-
-
-def principal_stretches(deformation_gradient: Array) -> Array:
-    """Principal stretches: the singular values of F, largest first.
-
-    1 is the undeformed length; 0.8 is a shortening by 20 % in that direction.
-
-    deformation_gradient : array, shape (..., 3, 3)
-
-    Returns (..., 3), dimensionless
-
-    >>> principal_stretches(np.diag([0.5, 2.0, 1.0]))
-    array([2. , 1. , 0.5])
-    """
-    stretches = np.linalg.svd(deformation_gradient, compute_uv=False)
-    return np.asarray(stretches, dtype=np.float64)
 
 
 _NEAR_MM = 15.0  # the part of the skin, along the limb, whose middle tells which way is outwards

@@ -179,30 +179,27 @@ def _same(values: Array) -> Array:
     return values
 
 
-def _record(
+def _recorded(
     readings: Readings, force: Callable[[Array], Array] = _same, depth: Callable[[Array], Array] = _same
-) -> Array:
-    """The load cell's record with force and depth transformed."""
+) -> Readings:
+    """The readings with force and depth transformed, at the levels and in the load cell's record."""
     trace = readings.trace
-    return np.column_stack([trace[:, 0], force(trace[:, 1]), depth(trace[:, 2]), trace[:, 3:]])
+    record = np.column_stack([trace[:, 0], force(trace[:, 1]), depth(trace[:, 2]), trace[:, 3:]])
+    return replace(readings, force=force(readings.force), depth=depth(readings.depth), trace=record)
 
 
 def _force_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    shift = theta["force_zero_n"]
-    return replace(readings, force=readings.force + shift, trace=_record(readings, lambda f: f + shift))
+    return _recorded(readings, lambda f: f + theta["force_zero_n"])
 
 
 def _force_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    gain = theta["force_gain"]
-    return replace(readings, force=readings.force * gain, trace=_record(readings, lambda f: gain * f))
+    return _recorded(readings, lambda f: f * theta["force_gain"])
 
 
 def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Depths are relative to a first frame that is already `depth_zero_mm` deep."""
-    zero = theta["depth_zero_mm"]
-    shown = readings.depth - zero
-    record = _record(readings, depth=lambda d: d - zero)
-    return _rows(replace(readings, depth=shown, trace=record), np.flatnonzero(shown >= 0.0))
+    shown = _recorded(readings, depth=lambda d: d - theta["depth_zero_mm"])
+    return _rows(shown, np.flatnonzero(shown.depth >= 0.0))
 
 
 def _rows(readings: Readings, keep: IntArray) -> Readings:
@@ -219,24 +216,17 @@ def _rows(readings: Readings, keep: IntArray) -> Readings:
 def _depth_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Scale all lengths that the images show along the beam by one factor."""
     gain = theta["depth_gain"]
-
-    def shown(values: Array | None) -> Array | None:
-        return None if values is None else values / gain
-
     return replace(
-        readings,
-        depth=readings.depth / gain,
-        trace=_record(readings, depth=lambda d: d / gain),
-        skin_bone=shown(readings.skin_bone),
-        layers=shown(readings.layers),
+        _recorded(readings, depth=lambda d: d / gain),
+        skin_bone=None if readings.skin_bone is None else readings.skin_bone / gain,
+        layers=None if readings.layers is None else readings.layers / gain,
     )
 
 
 def _preload(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """The probe is already under load at the first level; force and depth are relative to that level."""
     force, depth = readings.force[0], readings.depth[0]
-    record = _record(readings, lambda f: f - force, lambda d: d - depth)
-    return replace(readings, force=readings.force - force, depth=readings.depth - depth, trace=record)
+    return _recorded(readings, lambda f: f - force, lambda d: d - depth)
 
 
 def _relaxing(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
