@@ -13,9 +13,7 @@ from limbcli.errors import SolveError
 from limbcli.measurement.elastography import SweMap
 from limbcli.model import Array
 from limbcli.phantom.protocol import LoadingProtocol, TrueLevels, depth_at_force
-from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window, predict_map
-from limbcli.shear_waves.speed import wave_speed_m_per_s
 
 # (deformation gradients of some elements, their indices among the recorded ones) -> m/s
 Speed = Callable[[Array, NDArray[np.bool_]], Array]
@@ -51,12 +49,10 @@ class Indentation:
 
 
 def true_levels(
-    simulated: Indentation, terms: OgdenTerms | None, *, protocol: LoadingProtocol, skin_bone: float | None,
-    window: Window = Window(), density_kg_per_m3: float = 1000.0, speed: Speed | None = None,
+    simulated: Indentation, speed: Speed, *, protocol: LoadingProtocol, skin_bone: float | None,
+    window: Window = Window(),
 ) -> TrueLevels:  # fmt: skip
     """Depth and speed map at each force step that the simulation reaches.
-
-    speed : wave speed of a law that `terms` cannot represent; `terms` is not needed then
 
     Raises SolveError if it reaches fewer than three steps.
     """
@@ -70,29 +66,18 @@ def true_levels(
             reached_n=float(simulated.force[-1]),
         )
     depths = depth_at_force(simulated.depth, simulated.force, forces)
-    maps = tuple(
-        _map(*simulated.at(depth), terms, speed, face_height=-depth, window=window, density=density_kg_per_m3)
-        for depth in depths
-    )
+    maps = tuple(_map(*simulated.at(depth), speed, face_height=-depth, window=window) for depth in depths)
     borders = None
     if simulated.borders is not None:
         borders = np.asarray(PchipInterpolator(simulated.depth, simulated.borders)(depths))
     return TrueLevels(force=forces, depth=depths, maps=maps, skin_bone=skin_bone, borders=borders)
 
 
-def _map(
-    positions: Array, F: Array, terms: OgdenTerms | None, speed_of: Speed | None, *, face_height: float,
-    window: Window, density: float,
-) -> SweMap:  # fmt: skip
+def _map(positions: Array, F: Array, speed: Speed, *, face_height: float, window: Window) -> SweMap:
     """Speed map from the elements near the window only."""
     reach = window.half_width + 2 * window.smoothing
     near = (np.abs(positions[:, 0]) <= reach) & (
         np.abs(positions[:, 1]) <= window.elevation + 2 * window.smoothing
     )
     near &= positions[:, 2] >= face_height - window.depth_to - 2 * window.smoothing
-    if speed_of is None:
-        assert terms is not None
-        speed = wave_speed_m_per_s(F[near], terms, density_kg_per_m3=density)
-    else:
-        speed = speed_of(F[near], near)
-    return predict_map(positions[near], speed, face_height=face_height, window=window)
+    return predict_map(positions[near], speed(F[near], near), face_height=face_height, window=window)

@@ -9,8 +9,13 @@ from limbcli.errors import SolveError
 from limbcli.phantom.protocol import LoadingProtocol
 from limbcli.phantom.simulated import Indentation, true_levels
 from limbcli.shear_waves.ogden import OgdenTerms
+from limbcli.shear_waves.speed import wave_speed_m_per_s
 
 THICKNESS = 40.0
+
+
+def speed_in_tissue(F, _):
+    return wave_speed_m_per_s(F, OgdenTerms.one_pair(c=0.008, m=2.0))
 
 
 def uniform(rng, stiffness=1.2, n=20_000):
@@ -28,8 +33,9 @@ def uniform(rng, stiffness=1.2, n=20_000):
 
 
 def test_levels_follow_the_force_steps_and_the_closed_form_speed(rng):
-    terms = OgdenTerms.one_pair(c=0.008, m=2.0)
-    true = true_levels(uniform(rng), terms, protocol=LoadingProtocol(max_force=10.0), skin_bone=THICKNESS)
+    true = true_levels(
+        uniform(rng), speed_in_tissue, protocol=LoadingProtocol(max_force=10.0), skin_bone=THICKNESS
+    )
     assert true.force.tolist() == [0, 2, 4, 6, 8, 10]
     assert true.depth == pytest.approx(true.force / 1.2, abs=1e-9)
     for depth, swe in zip(true.depth, true.maps, strict=True):
@@ -41,8 +47,9 @@ def test_levels_follow_the_force_steps_and_the_closed_form_speed(rng):
 
 
 def test_levels_end_where_the_simulation_ends(rng):
-    terms = OgdenTerms.one_pair(c=0.008, m=2.0)
-    true = true_levels(uniform(rng, stiffness=0.6), terms, protocol=LoadingProtocol(), skin_bone=None)
+    true = true_levels(
+        uniform(rng, stiffness=0.6), speed_in_tissue, protocol=LoadingProtocol(), skin_bone=None
+    )
     assert true.force[-1] == 6.0
     with pytest.raises(SolveError, match="2 levels"):
-        true_levels(uniform(rng, stiffness=0.2), terms, protocol=LoadingProtocol(), skin_bone=None)
+        true_levels(uniform(rng, stiffness=0.2), speed_in_tissue, protocol=LoadingProtocol(), skin_bone=None)

@@ -25,7 +25,7 @@ from limbcli.progress import SILENT, Progress
 from limbcli.shear_waves.from_simulation import AT_REST, PointStates
 from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
-from limbcli.shear_waves.speed import block_speeds, element_speeds
+from limbcli.shear_waves.speed import block_speeds, element_speeds, wave_speed_m_per_s
 from limbcli.site_model.prestretch import in_state, skin_rise, with_nodes_moved
 from limbcli.solvers.material_lines import displacements, material_lines
 from limbcli.solvers.session import ReferenceSession, path_dependent
@@ -73,16 +73,15 @@ def indent(
         return _levels_in_state(
             model, seen, simulation, protocol=protocol, window=window, density_kg_per_m3=density_kg_per_m3
         )
-    known = ogden_type(c=mpa_from_kpa(press.tissue.c_kpa), f_kappa=press.tissue.f_kappa, m=press.tissue.m)
     states = PointStates.of(model, simulation)
     return true_levels(
         _indentation(model, simulation, states, borders),
-        OgdenTerms.of(known),
+        _speed_in(press.tissue, density_kg_per_m3)
+        if press.change is None
+        else _speed_of(seen, states, density_kg_per_m3),
         protocol=protocol,
         skin_bone=skin_bone_distance(model),
         window=window,
-        density_kg_per_m3=density_kg_per_m3,
-        speed=None if press.change is None else _speed_of(seen, states, density_kg_per_m3),
     )
 
 
@@ -204,13 +203,18 @@ def _levels_in_state(
             np.stack(positions) - [0.0, 0.0, rise],  # heights are relative to first touch, as for the face
             np.stack(gradients),
         ),
-        None,
+        speed,
         protocol=protocol,
         skin_bone=skin_bone_distance(with_nodes_moved(model, nodes.items, displacement)),
         window=window,
-        density_kg_per_m3=density_kg_per_m3,
-        speed=speed,
     )
+
+
+def _speed_in(tissue: KnownTissue, density_kg_per_m3: float) -> Speed:
+    """A function for the speeds of the unchanged law, in closed form."""
+    law = ogden_type(c=mpa_from_kpa(tissue.c_kpa), f_kappa=tissue.f_kappa, m=tissue.m)
+    terms = OgdenTerms.of(law)
+    return lambda F, _: wave_speed_m_per_s(F, terms, density_kg_per_m3=density_kg_per_m3)
 
 
 def _speed_of(model: LimbModel, states: PointStates, density_kg_per_m3: float) -> Speed:
