@@ -1,22 +1,18 @@
 """This rule and three others on the same data: what each says of the sites of a study.
 
     python -m tests.benchmarks.rules --cases SHARED/febio-hidden --out OUT [--only h05 h13] [--workers 2]
-                                     [--picture calibration.png]
 
 Every site is segmented, meshed and diagnosed into OUT (what is there is used). On the same fits, the same
 noise and the same sensitivities then decide:
 
     posterior   the diagnosis as it is
     bic         weights exp(-BIC / 2) of the same explanations, without prior sizes: BIC is the deviance plus
-    ln n for
-                each parameter; named with a weight of 0.95, the set has 0.95
+                ln n for each parameter; named with a weight of 0.95, the set has 0.95
     halves      score tests of every effect on the even levels with false-discovery control (Benjamini and
-    Hochberg
-                1995, 5 %), confirmed on the odd levels (5 %): the set; named if it is one effect. That is how
-                missing physics is sought in models of buildings (LISDD, arXiv 2606.23215)
+                Hochberg 1995, 5 %), confirmed on the odd levels (5 %): the set; named if it is one effect.
+                Missing physics in models of buildings is sought like that (LISDD, arXiv 2606.23215)
 
-With --picture, the probabilities that were said are drawn against how often they were right, over all
-explanations of all sites. A line a site is kept in OUT/rules.jsonl; the table has the rates of each rule.
+A line a site is kept in OUT/rules.jsonl; the table has the rates of each rule.
 `score.py table` of the study gives those of any earlier version of the program.
 """
 
@@ -26,13 +22,11 @@ import argparse
 import os
 import tomllib
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
-from scipy.stats import binomtest, norm
+from scipy.stats import norm
 
 from limbcli.case import Case
 from limbcli.config import one_blas_thread
@@ -42,7 +36,6 @@ from limbcli.diagnosis.explanations.search import Search
 from limbcli.diagnosis.explanations.verdict import _Run
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.prepare import WorkingMesh, prepare
-from limbcli.drawing import save_figure
 from limbcli.effects import EFFECTS
 from limbcli.numbers.whitening import Whitener
 from limbcli.progress import SILENT
@@ -181,44 +174,11 @@ def table(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]]) -> 
     return lines
 
 
-def calibration(rows: Sequence[dict[str, Any]], truths: dict[str, dict[str, Any]], path: Path) -> None:
-    """Probability said against frequency right, with Wilson's 95 % intervals; explanations by their
-    probability."""
-    said, right = [], []
-    for row in rows:
-        if truths[row["id"]]["answer"] == "outside":
-            continue
-        true = set(truths[row["id"]]["effects"]) - {"none"}
-        for explanation, probability in row["probabilities"]:
-            said.append(probability)
-            right.append(set(explanation) == true)
-    p, hit, edges = (
-        np.array(said),
-        np.array(right),
-        np.array([0.0, 0.02, 0.1, 0.3, 0.5, 0.7, 0.9, 1.0 + 1e-9]),
-    )
-    figure = Figure(figsize=(4.2, 4.0), layout="constrained")
-    axes = figure.subplots()
-    axes.plot([0, 1], [0, 1], color="#22303c", lw=0.8, ls="--")
-    for low, high in pairwise(edges.tolist()):
-        inside = (p >= low) & (p < high)
-        if not inside.any():
-            continue
-        n, k = int(inside.sum()), int(hit[inside].sum())
-        ends = binomtest(k, n).proportion_ci(0.95, method="wilson")
-        at, rate = float(p[inside].mean()), k / n
-        print(f"said {at:.2f}: right {k} of {n}")
-        axes.errorbar(at, rate, [[rate - ends.low], [ends.high - rate]], fmt="o", color="#0072b2", capsize=3)
-    axes.set(xlabel="probability said", ylabel="frequency right (95 %)", xlim=(0, 1), ylim=(0, 1))
-    save_figure(figure, path, dpi=150)
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--cases", type=Path, required=True)
     parser.add_argument("--out", type=Path, required=True)
     parser.add_argument("--only", nargs="*")
-    parser.add_argument("--picture", type=Path)
     parser.add_argument("--workers", type=int, default=max(1, (os.cpu_count() or 1)))
     options = parser.parse_args()
     truths = {each["id"]: each for each in tomllib.loads((options.cases / "truth.toml").read_text())["case"]}
@@ -229,8 +189,6 @@ def main() -> None:
     rows = succeeded(made(kept, jobs, one, key=("id",), processes=options.workers, show=line))
     rows = [row for row in rows if row["id"] in wanted]
     print("\n".join(table(rows, truths)))
-    if options.picture is not None:
-        calibration(rows, truths, options.picture)
 
 
 if __name__ == "__main__":

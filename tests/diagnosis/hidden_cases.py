@@ -220,6 +220,11 @@ def account(case: Case, found, *, follow: bool = True) -> dict:
                 (e.probability for e in found.explanations if set(e.explanation) == set(case.truth)), 0.0
             ),
         },
+        "probabilities": [
+            [sorted(each.explanation), each.probability]
+            for each in found.explanations
+            if each.probability > 1e-4
+        ],
         "held_out": [each.held_out.get("all") for each in (first, last)],
         "error": [case.error(each.values) for each in (first.estimates, found.estimates)],
         "values": [dict(each.values) for each in (found.shrink[0].estimates, found.estimates)],
