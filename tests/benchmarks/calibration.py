@@ -4,8 +4,8 @@
         [--sites OUT/rules.jsonl --truth SHARED/febio-hidden/truth.toml] [--study OUT/study.jsonl]
 
 Every explanation of every data set, nothing among them, counts once at its probability: of `rules.py` (sites
-that FEBio made) and of `hidden_study.py` (the reduced model). Data sets whose truth is no explanation (outside
-of the library, noise understated) are left out. Prints counts.
+that FEBio made) and of `hidden_study.py` (the reduced model). Data sets whose truth is no explanation
+(outside of the library, noise understated) are left out. Prints counts.
 """
 
 from __future__ import annotations
