@@ -18,6 +18,7 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
 _MOST_CONTROL = 0.01  # share of control characters above which a file is not text
 _SPECIAL = re.compile(rb"\*\*\*Start_Special\*\*\*.*?(?:\*\*\*End_Special\*\*\*[^\r\n]*|\Z)", re.DOTALL)
 _MARKS = ("\t", ";", ",")
+_WITH_COMMA = re.compile(r"[+-]?\d+(,\d+([eE][+-]?\d+)?)?")
 _MOST_ABOVE = 500  # lines above a header that are searched
 
 
@@ -101,7 +102,7 @@ def csv_sheet(
     marks = (separator,) if separator else (named[1],) if named else _MARKS
     if named:
         lines[0] = ""
-    if not separator and not any(each in line for line in lines for each in _MARKS):
+    if not separator and not named and _has_spaces_between(lines):
         lines = _of_spaces([re.sub(r"^#\s+", "#", line) for line in lines])
     at, mark = _header_line(lines, marks, is_header)
     kept = ["" if k < at or (k > at and line.startswith("#")) else line for k, line in enumerate(lines)]
@@ -112,6 +113,18 @@ def csv_sheet(
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     _require_width(rows[1:], len(rows[0]), path)
     return Sheet([each.strip() for each in rows[0]], rows[1:], mark)
+
+
+def _has_spaces_between(lines: list[str]) -> bool:
+    """Whether columns are separated by spaces: nothing else separates them, or commas stand within numbers.
+
+    >>> _has_spaces_between(["0,1 2,35"]), _has_spaces_between(["0, 1", "0.1, 2.35"])
+    (True, False)
+    """
+    if any(each in line for line in lines for each in _MARKS[:-1]):
+        return False
+    rows = [line.split() for line in lines if "," in line]
+    return not rows or any(len(row) > 1 and all(map(_WITH_COMMA.fullmatch, row)) for row in rows)
 
 
 def _of_spaces(lines: list[str]) -> list[str]:

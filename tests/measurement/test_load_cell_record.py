@@ -208,6 +208,7 @@ def test_a_column_of_lengths_that_is_not_read_is_told(tmp_path):
         "Reading,Load [N],Load cell 2 [N],Elapsed Time [sec]\n1,0,0,0\n2,1.5,0,0.1\n3,2.5,0,0.2\n",
         "# time_s  force_n\n  0.0   0.0\n  0.1   1.5\n  0.2   2.5\n",
         "   Time (s)    Force (N)\n   0.0   0.0\n   0.1   1.5\n   0.2   2.5\n",
+        "Zeit, s    Kraft, N\n0,0   0,0\n0,1   1,5\n0,2   2,5\n",
     ],
 )
 def test_records_of_testing_machines_need_no_names(tmp_path, text):
