@@ -162,7 +162,7 @@ def read_surface(
     share = _corners_apart(surface)
     if share > _APART:
         raise error_type(
-            f"the surface's triangles do not meet: {100 * share:.0f} % of their corners lie close to another's, not on it",
+            f"triangles of the surface do not meet: {100 * share:.0f} % of the corners lie close to another",
             where=str(path),
             fix="join them and save the surface again (MeshLab: Merge Close Vertices)",
             share_apart=share,
