@@ -241,7 +241,7 @@ def _read_sites(tables: object, reading: CaseReading, imaging: Imaging) -> list[
         reading.wrong("[site] is a single table, but sites are a list", "write [[site]], with two brackets")
         return []
     if not isinstance(tables, list) or not tables:
-        fix = "add a [[site]] (see the case format); `segment`, `limb --c-kpa`, `socket` and `report` need none"
+        fix = "add a [[site]] (see the case format); `segment`, `limb --c-kpa`, `socket`, `report` need none"
         reading.wrong("case.toml has no site", fix)
         return []
     sites: list[Site] = []
