@@ -22,6 +22,7 @@ SEPARATOR_LINE = re.compile(r"^\ufeff?sep=(.)\r?$", re.IGNORECASE)  # for spread
 _BINARY = {
     b"PK\x03\x04": "an Excel workbook, or another archive", b"\xd0\xcf\x11\xe0": "an old Excel workbook",
     b"TDSh": "the index of a TDMS file beside it", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file",
+    b"\x02P": "a C3D file",
     b"\x1f\x8b": "compressed", b"\x89PNG": "a picture", b"%PDF": "a PDF",
 }  # fmt: skip
 _LONGEST_CELL = 40  # characters of a cell that are shown
