@@ -152,7 +152,9 @@ def read_surface(
     except OSError as error:
         raise error_type(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
     if not len(faces):
-        raise error_type("the surface contains no triangles", where=str(path), fix=fix)
+        cloud = "it holds points alone: make a surface of them (MeshLab: Screened Poisson), and save that"
+        what = "the surface contains no triangles"
+        raise error_type(what, where=str(path), fix=cloud if len(points) else fix)
     if not np.isfinite(points).all():
         bad = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise error_type(f"point {bad} of the surface is not a number", where=str(path), fix=fix)

@@ -59,6 +59,15 @@ def test_triangles_that_do_not_meet_are_told(make_ball, tmp_path, rng):
     assert "Merge Close Vertices" in caught.value.fix
 
 
+def test_a_cloud_of_points_is_told(tmp_path):
+    head = "ply\nformat ascii 1.0\nelement vertex 2\n"
+    lines = "".join(f"property float {each}\n" for each in "xyz")
+    (tmp_path / "scan.ply").write_text(f"{head}{lines}end_header\n0 0 0\n1 1 1\n")
+    with pytest.raises(MeshError) as caught:
+        read_surface(tmp_path / "scan.ply")
+    assert "points alone" in caught.value.fix
+
+
 def test_part_leaves_out_unused_points():
     square = Triangles(np.eye(4, 3), np.array([[0, 1, 2], [0, 2, 3]]))
     assert len(square.part(np.array([True, False])).points) == 3
