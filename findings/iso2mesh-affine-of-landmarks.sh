@@ -3,7 +3,8 @@
 # same ones, and eight of a limb that was moved by (1, 2, 3) mm and turned by 90 degrees.
 # Guess: the identity and that motion: both fit exactly.
 # Seen:  other maps, without a word: the landmarks laid on themselves end up to 118 mm off, the moved ones up
-#        to 175 mm (98 and 101 with the matrix transposed). Its equations go point by point, their right-hand sides coordinate by coordinate.
+#        to 175 mm (98 and 101 with the matrix transposed). Its equations go point by point, their
+#        right-hand sides coordinate by coordinate.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

@@ -26,10 +26,12 @@ faces = np.array(ball.faces) + 1
 surface = iso2mesh.volface(np.c_[faces, np.full(len(faces), len(nodes))])[0][:, :3]
 
 seen = {}
-for name, write in (("text.stl", iso2mesh.savestl), ("binary.stl", iso2mesh.savebinstl), ("a.off", iso2mesh.saveoff)):
+WRITERS = {"text.stl": iso2mesh.savestl, "binary.stl": iso2mesh.savebinstl, "a.off": iso2mesh.saveoff}
+for name, write in WRITERS.items():
     write(nodes, surface, str(folder / name))
     back = trimesh.load(folder / name)
-    seen[name] = round(abs(float(back.volume))), bool(back.is_watertight), np.ptp(back.bounds, axis=0).round().tolist()
+    size = np.ptp(back.bounds, axis=0).round().tolist()
+    seen[name] = round(abs(float(back.volume))), bool(back.is_watertight), size
     print(name, seen[name][0], "mm3; closed:", seen[name][1], "size", seen[name][2])
 wide = [20, 20, 20]
 sys.exit(seen != {"text.stl": (1097, True, wide), "binary.stl": (1097, True, wide), "a.off": (4153, True, wide)})
