@@ -92,11 +92,13 @@ class StageCall:
 
 @contextlib.contextmanager
 def at_work(
-    case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard, images_only: bool = False
-) -> Iterator[StageCall]:
+    case: CaseLike, out: PathLike | None, *, wait: bool, progress: Heard, images_only: bool = False,
+    sites_or_none: bool = False,
+) -> Iterator[StageCall]:  # fmt: skip
     """Open the case and lock its output folder for writing.
 
     images_only : of a case that is given by its folder, probe and sites may be missing
+    sites_or_none : it may have no sites, but those that it has are complete
 
     Raises
     ------
@@ -107,7 +109,7 @@ def at_work(
     """
     from limbcli.case import Case
 
-    opening = Case.open_images if images_only else Case.open
+    opening = Case.open_images if images_only else Case.open_limb if sites_or_none else Case.open
     with foreseen():
         opened = _still_there(case) if isinstance(case, Case) else opening(folder_of(case, "case"))
     with writing(opened.folder, out, wait=wait, progress=progress) as (target, heard):

@@ -187,5 +187,5 @@ def report(
     """
     from limbcli.stages import report as stage
 
-    with at_work(case, out, wait=wait, progress=progress) as work:
+    with at_work(case, out, wait=wait, progress=progress, sites_or_none=True) as work:
         return work.run(stage.report, templates=templates)

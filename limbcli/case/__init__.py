@@ -102,6 +102,18 @@ class Case:
             return checked(None, unread, CaseError)
         return checked(*_read_images(raw, folder), CaseError)
 
+    @staticmethod
+    def open_limb(folder: Path) -> Case:
+        """Read a case that may have no sites: then only the images are needed, as by `open_images`.
+
+        Raises
+        ------
+        CaseError
+            As `open`, or as `open_images` where case.toml has no site.
+        """
+        raw, _ = _read_toml(folder)
+        return Case.open_images(folder) if raw is not None and "site" not in raw else Case.open(folder)
+
     def site(self, name: str) -> Site:
         """One site by name.
 
@@ -229,7 +241,7 @@ def _read_sites(tables: object, reading: CaseReading, imaging: Imaging) -> list[
         reading.wrong("[site] is a single table, but sites are a list", "write [[site]], with two brackets")
         return []
     if not isinstance(tables, list) or not tables:
-        fix = "add a [[site]] (see the case format); only `segment`, `limb --c-kpa` and `socket` need none"
+        fix = "add a [[site]] (see the case format); `segment`, `limb --c-kpa`, `socket`, `report` need none"
         reading.wrong("case.toml has no site", fix)
         return []
     sites: list[Site] = []

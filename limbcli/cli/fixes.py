@@ -11,7 +11,7 @@ from limbcli.errors.pasted_commands import AnyError, pasted, typed
 
 Options = Mapping[str, Set[str]]
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z-]*")
-_OTHERS = re.compile(r"(limbcli|pip|apt-get|fslroi) [^`;,\n]*")
+_OTHERS = re.compile(r"(limbcli|pip|apt-get|fslroi) [^`;,\n]*|`[a-z][a-z-]* --[^`\n]*`")
 
 
 def for_command_line(error: AnyError, arguments: Sequence[str], options: Options) -> AnyError:
@@ -58,7 +58,7 @@ def out_of(arguments: Sequence[str]) -> Path | None:
 
 
 def _strangers(fix: str, own: Set[str], options: Options) -> Iterator[str]:
-    """Options in a fix, outside complete commands, that only other commands have."""
+    """Options in a fix, outside commands that are named with them, that only other commands have."""
     for found in _OPTION.findall(_OTHERS.sub("", fix)):
         if own and found not in own and owner_of(found, options):
             yield found

@@ -49,7 +49,8 @@ class Scene:
         """The rigid body, named or given by its material's id (FEBio, FEFileSection::parseEnumParam)."""
         name = self.materials.get(tag.text, tag.text) if tag.text.isdigit() else tag.text
         if name not in self.bodies:
-            raise tag.missing(f"rigid body {tag.text!r}", f"name one of {sorted(self.bodies)}, or add it")
+            named = f"name one of {', '.join(sorted(self.bodies))}, or " if self.bodies else ""
+            raise tag.missing(f"rigid body {tag.text!r}", f"{named}add a material of the type rigid body")
         return name
 
     def number(self, tag: Tag) -> tuple[float, str | None]:

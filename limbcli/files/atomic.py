@@ -37,8 +37,7 @@ def atomic_file(target: Path) -> Iterator[Path]:
     >>> (folder / "a.txt").read_text(), len(list(folder.iterdir()))
     ('whole', 1)
     """
-    with file_system_errors(target):
-        target.parent.mkdir(parents=True, exist_ok=True)
+    with file_system_errors(target), _folder_of(target):
         partial = _beside(target)
         partial.touch(exist_ok=False)
         try:
@@ -86,14 +85,27 @@ def atomic_set(folder: Path, *, last: str) -> Iterator[Path]:
 @contextlib.contextmanager
 def _empty_beside(target: Path) -> Iterator[Path]:
     """An empty folder beside the target, without remains of interrupted runs; removed in the end."""
+    with _folder_of(target):
+        clear_partial(target.parent)
+        partial = _beside(target)
+        partial.mkdir()
+        try:
+            yield partial
+        finally:
+            shutil.rmtree(partial, ignore_errors=True)
+
+
+@contextlib.contextmanager
+def _folder_of(target: Path) -> Iterator[None]:
+    """The target's folder exists in the block; folders made for it are removed if nothing was put there."""
+    made = [each for each in target.parents if not each.exists()]
     target.parent.mkdir(parents=True, exist_ok=True)
-    clear_partial(target.parent)
-    partial = _beside(target)
-    partial.mkdir()
     try:
-        yield partial
+        yield
     finally:
-        shutil.rmtree(partial, ignore_errors=True)
+        with contextlib.suppress(OSError):  # not empty
+            for each in made:
+                each.rmdir()
 
 
 def _beside(target: Path) -> Path:

@@ -71,9 +71,9 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     Raises CaseError for no DICOM files, no pixel data, two series; slices missing, duplicate, not parallel or
     of different size; the message names the tag and the fix.
     """
-    datasets = _images(folder, progress)
+    datasets, left_out = _images(folder, progress)
     try:
-        remarks = _one_series(datasets, folder) + one_body(datasets, folder)
+        remarks = left_out + _one_series(datasets, folder) + one_body(datasets, folder)
     except DICOM_DAMAGED as error:
         raise damaged(str(folder), error) from error
     slices: list[Slice] = []
@@ -106,8 +106,8 @@ def read_series(folder: Path, *, progress: Progress = SILENT) -> Series:
     )
 
 
-def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
-    """Every DICOM image below `folder`, by name."""
+def _images(folder: Path, progress: Progress) -> tuple[list[tuple[str, Dataset]], tuple[str, ...]]:
+    """Every DICOM image below `folder`, by name; and a note on the DICOM files that are none."""
     if not folder.exists():
         raise CaseError(
             "the folder of the MRI series does not exist",
@@ -116,7 +116,7 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
         )
     below = [folder] if folder.is_file() else folder.rglob("*")
     paths = sorted(path for path in below if path.is_file() and path.name != "DICOMDIR")
-    found, without_pixels, cut = [], 0, []
+    found, without_pixels, cut = [], Counter[str](), []
     for number, path in enumerate(paths, 1):
         dataset = _read(path, number)
         if dataset is None:
@@ -127,7 +127,7 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
             except DICOM_DAMAGED as error:
                 raise damaged(f"file {number} in order of name", error) from error
         else:
-            without_pixels += 1
+            without_pixels[str(dataset.get("Modality", ""))[:_SHORT] or "no modality"] += 1
             cut += [number] if should_be_image(dataset) else []
         if number % 20 == 0 or number == len(paths):
             progress.event("task", name="reading DICOM", done=number, total=len(paths))
@@ -140,11 +140,14 @@ def _images(folder: Path, progress: Progress) -> list[tuple[str, Dataset]]:
             fix="the files are truncated: copy the series again",
             n_cut=len(cut),
         )
+    kinds = ", ".join(f"{count} {kind}" for kind, count in without_pixels.items())
     if found:
-        return found
+        contours = "; contours are not read: give them as a label map" * ("RTSTRUCT" in without_pixels)
+        left_out = (f"DICOM files without an image were left out: {kinds}{contours}",) if kinds else ()
+        return found, left_out
     if without_pixels:
         raise CaseError(
-            f"the {without_pixels} DICOM files contain no pixel data (7FE0,0010)",
+            f"the {without_pixels.total()} DICOM files contain no pixel data (7FE0,0010): {kinds}",
             where=str(folder),
             fix="export the images again, not only their headers or a DICOMDIR",
         )

@@ -140,7 +140,11 @@ def check_maps(folder: Path, n_levels: int | None = None) -> tuple[list[SweMap],
         problems.append(problem("no map has any pixels", folder, fix))
     for path in sorted(folder.glob("*")):
         if path not in expected and not path.name.startswith("."):
-            fix = f"{n_levels} levels need the maps level_00.csv to {expected[-1].name}"
+            fix = (
+                f"{n_levels} levels need the maps level_00.csv to {expected[-1].name}"
+                if maps
+                else ("name the maps level_00.csv, level_01.csv, ..., one per row of levels.csv")
+            )
             problems.append(problem(f"{path.name} belongs to no level", folder, fix))
     return maps, problems
 
@@ -188,14 +192,17 @@ def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
 
 def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
     """One map, if it is usable, and every problem (errors and warnings)."""
-    table, problems = read_table(path, required=COLUMNS, optional=(), may_be_empty=True)
+    table, problems = read_table(
+        path, required=COLUMNS, optional=(), may_be_empty=True, may_be_nan=("speed_m_per_s",)
+    )
     if table is None or errors_of(problems):
         return None, problems
     lateral, depth, speed = (table.numbers[name] for name in COLUMNS)
     swe = SweMap(lateral, depth, speed, path)
     problems += _check_ranges(swe, table, path)
     problems += _check_repeats(swe, table, path)
-    return swe, problems
+    read = np.isfinite(speed)
+    return SweMap(lateral[read], depth[read], speed[read], path), problems
 
 
 def _check_ranges(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:

@@ -98,6 +98,7 @@ def read_recording(path: Path, form: RecordingFormat | None = None) -> Trace:
             fix = f'state which one it is: columns = {{ {name} = "..." }}; ' + suggestion(name, sheet.header)
             if all(map(is_number, sheet.header)):
                 fix = f"begin the file with the names of its columns, such as {','.join(TRACE_REQUIRED)}"
+            fix += "; readings without times go into levels.csv, one row for each" * (name == "time_s")
             raise MeasurementError(f"the record has no column {name!r}", where=str(path), fix=fix)
     if sheet.header[positions["time_s"]] == lvm.TIME and list(sheet.header).count(lvm.TIME) > 1:
         positions["time_s"] = _time_of_force(sheet, positions, path)

@@ -7,7 +7,7 @@ import io
 import re
 from collections.abc import Collection, Mapping, Set
 from dataclasses import dataclass
-from math import isfinite
+from math import isfinite, isnan
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +22,7 @@ SEPARATOR_LINE = re.compile(r"^\ufeff?sep=(.)\r?$", re.IGNORECASE)  # for spread
 _BINARY = {
     b"PK\x03\x04": "an Excel workbook, or another archive", b"\xd0\xcf\x11\xe0": "an old Excel workbook",
     b"TDSh": "the index of a TDMS file beside it", b"\x89HDF": "an HDF5 file", b"MATLAB": "a MATLAB file",
+    b"\x02P": "a C3D file",
     b"\x1f\x8b": "compressed", b"\x89PNG": "a picture", b"%PDF": "a PDF",
 }  # fmt: skip
 _LONGEST_CELL = 40  # characters of a cell that are shown
@@ -43,7 +44,7 @@ class RawTable:
 
 def read_table(
     path: Path, *, required: Collection[str], optional: Collection[str], texts: Collection[str] = (),
-    may_be_empty: bool = False,
+    may_be_empty: bool = False, may_be_nan: Collection[str] = (),
 ) -> tuple[RawTable | None, list[Problem]]:  # fmt: skip
     """Read a table with a header line; lines that begin with # are comments.
 
@@ -52,6 +53,7 @@ def read_table(
 
     required, optional : names of numeric columns; texts : names of text columns (optional)
     may_be_empty : whether a header alone is accepted, as a table without rows
+    may_be_nan : required columns in which NaN says that nothing was read
 
     Returns the table, or None if it cannot be read at all, and every problem.
     """
@@ -85,7 +87,9 @@ def read_table(
     for j, name in enumerate(header):
         if name in texts:
             continue
-        numbers[name], wrong = _numbers(cells, j, name, path, may_be_empty=name not in required)
+        numbers[name], wrong = _numbers(
+            cells, j, name, path, may_be_empty=name not in required, may_be_nan=name in may_be_nan
+        )
         found += wrong
     if len(found) > _SHOWN_PER_FILE:
         more = len(found) - _SHOWN_PER_FILE
@@ -248,7 +252,13 @@ def _check_width(
 
 
 def _numbers(
-    cells: list[tuple[int, list[str]]], column: int, name: str, path: Path, *, may_be_empty: bool
+    cells: list[tuple[int, list[str]]],
+    column: int,
+    name: str,
+    path: Path,
+    *,
+    may_be_empty: bool,
+    may_be_nan: bool,
 ) -> tuple[Array, list[Problem]]:
     values = np.full(len(cells), np.nan)
     problems = []
@@ -264,7 +274,7 @@ def _numbers(
             fix += "; leave the cell empty where there is none" * may_be_empty
             problems.append(problem(what, path, fix, line=line))
             continue
-        if not isfinite(value):
+        if not isfinite(value) and not (may_be_nan and isnan(value)):
             fix = "leave the cell empty" if may_be_empty else "remove the row, or measure it again"
             problems.append(problem(f"{name} is {cell}", path, fix, line=line))
     return values, problems

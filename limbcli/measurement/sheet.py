@@ -5,6 +5,7 @@ from __future__ import annotations
 import codecs
 import csv
 import re
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,6 +19,7 @@ _CONTROL = re.compile(rb"[\x00-\x08\x0e-\x19\x1b-\x1f]")
 _MOST_CONTROL = 0.01  # share of control characters above which a file is not text
 _SPECIAL = re.compile(rb"\*\*\*Start_Special\*\*\*.*?(?:\*\*\*End_Special\*\*\*[^\r\n]*|\Z)", re.DOTALL)
 _MARKS = ("\t", ";", ",")
+_WITH_COMMA = re.compile(r"[+-]?\d+(,\d+([eE][+-]?\d+)?)?")
 _MOST_ABOVE = 500  # lines above a header that are searched
 
 
@@ -101,9 +103,10 @@ def csv_sheet(
     marks = (separator,) if separator else (named[1],) if named else _MARKS
     if named:
         lines[0] = ""
-    if not separator and not any(each in line for line in lines for each in _MARKS):
+    if not separator and not named and _has_spaces_between(lines):
         lines = _of_spaces([re.sub(r"^#\s+", "#", line) for line in lines])
     at, mark = _header_line(lines, marks, is_header)
+    lines = _without_further_headers(lines, at, mark)
     kept = ["" if k < at or (k > at and line.startswith("#")) else line for k, line in enumerate(lines)]
     cells = checked(*csv_rows("\n".join(kept), path, separator=mark), MeasurementError)
     rows = [row for row in cells if any(each.strip() for each in row)]
@@ -112,6 +115,37 @@ def csv_sheet(
         raise MeasurementError("the record has no rows", where=str(path), fix=fix)
     _require_width(rows[1:], len(rows[0]), path)
     return Sheet([each.strip() for each in rows[0]], rows[1:], mark)
+
+
+def _without_further_headers(lines: list[str], at: int, mark: str) -> list[str]:
+    """Lines without headers that stand again between rows, as testing machines write them for each block.
+
+    at : number of the header. What stands around it, up to the next rows, is left out too
+    """
+    again = [k for k in range(at + 1, len(lines)) if lines[k].strip() == lines[at].strip()]
+    if not again:
+        return lines
+    found, kinds = list(lines), [tuple(map(is_number, _titles(line, mark))) for line in lines]
+    usual = Counter(kinds[at + 1 :]).most_common(1)[0][0]
+    for k in again:
+        for way in (-1, 1):
+            here = k
+            while at < here < len(lines) and kinds[here] != usual:
+                found[here] = ""
+                here += way
+    return found
+
+
+def _has_spaces_between(lines: list[str]) -> bool:
+    """Whether columns are separated by spaces: nothing else separates them, or commas stand within numbers.
+
+    >>> _has_spaces_between(["0,1 2,35"]), _has_spaces_between(["0, 1", "0.1, 2.35"])
+    (True, False)
+    """
+    if any(each in line for line in lines for each in _MARKS[:-1]):
+        return False
+    rows = [line.split() for line in lines if "," in line]
+    return not rows or any(len(row) > 1 and all(map(_WITH_COMMA.fullmatch, row)) for row in rows)
 
 
 def _of_spaces(lines: list[str]) -> list[str]:
@@ -161,7 +195,7 @@ def _header_line(
                 and not any(map(is_number, titles))
             ):
                 has_titles = before >= 0 and len(_titles(lines[before], mark)) == len(titles)
-                return (before if has_titles and all(map(_is_unit, titles)) else k), mark
+                return (before if has_titles and all(map(_is_unit, filter(None, titles))) else k), mark
     first = plain[0] if plain else 0
     return first, max(marks, key=lambda mark: lines[first].count(mark) if lines else 0)
 

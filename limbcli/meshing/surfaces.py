@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.model import Array, IntArray
@@ -19,6 +20,9 @@ from limbcli.numbers.distinct_rows import distinct_rows
 from limbcli.surface_formats.triangle_files import SUFFIXES, read_triangles
 
 _SAME_POINT = 1e-7  # of a surface's size: points that are closer are one
+# Points per triangle, half of which a closed surface has; and of these, the share closer to another than this
+# fraction of an edge, above which triangles do not meet
+_MANY_POINTS, _APART, _CLOSE = 0.6, 0.2, 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -137,7 +141,8 @@ def read_surface(
 
     Coincident points are merged by `merge` (None: `merge_points`).
 
-    Raises error_type if the file is absent, holds no triangles, or a coordinate is not a number.
+    Raises error_type if the file is absent, holds no triangles, a coordinate is not a number, or triangles do
+    not meet.
     """
     fix = f"give a triangle surface in one of the formats {', '.join(SUFFIXES)}"
     if not path.is_file():
@@ -147,14 +152,33 @@ def read_surface(
     except OSError as error:
         raise error_type(f"the surface cannot be read ({error})", where=str(path), fix=fix) from error
     if not len(faces):
-        raise error_type("the surface contains no triangles", where=str(path), fix=fix)
+        cloud = "it holds points alone: make a surface of them (MeshLab: Screened Poisson), and save that"
+        what = "the surface contains no triangles"
+        raise error_type(what, where=str(path), fix=cloud if len(points) else fix)
     if not np.isfinite(points).all():
         bad = int(np.argwhere(~np.isfinite(points))[0, 0])
         raise error_type(f"point {bad} of the surface is not a number", where=str(path), fix=fix)
     surface = (merge or merge_points)(Triangles(points, faces))
     if not len(surface.faces):
         raise error_type("the surface's triangles have no area", where=str(path), fix=fix)
+    share = _corners_apart(surface)
+    if share > _APART:
+        raise error_type(
+            f"triangles of the surface do not meet: {100 * share:.0f} % of the corners lie close to another",
+            where=str(path),
+            fix="join them and save the surface again (MeshLab: Merge Close Vertices)",
+            share_apart=share,
+        )
     return surface
+
+
+def _corners_apart(surface: Triangles) -> float:
+    """The share of points that lie within `_CLOSE` edges of another, of a surface with too many points."""
+    if len(surface.points) < _MANY_POINTS * len(surface.faces):
+        return 0.0
+    edge = float(np.sqrt(np.median(((surface.corners[:, 1] - surface.corners[:, 0]) ** 2).sum(axis=1))))
+    nearest = cKDTree(surface.points).query(surface.points, k=2, distance_upper_bound=_CLOSE * edge)[0]
+    return float(np.isfinite(nearest[:, 1]).mean())
 
 
 def merge_points(surface: Triangles) -> Triangles:

@@ -56,7 +56,7 @@ def opened(folder: Path, out: Path) -> Case | CaseOutcome:
     Raises CaseError if the folder does not exist.
     """
     try:
-        return Case.open(folder)
+        return Case.open_limb(folder)
     except CaseError as error:
         if not folder.is_dir():
             raise

@@ -83,7 +83,7 @@ def outcomes(
 def _readable(folder: Path) -> Case | None:
     """The case, or None if it cannot be read (the batch itself reports that)."""
     try:
-        return Case.open(folder)
+        return Case.open_limb(folder)
     except CaseError:
         return None
 

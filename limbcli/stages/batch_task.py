@@ -198,7 +198,7 @@ def _last(part: BatchTask, call: Call, progress: Progress) -> PartOutcome:
 
 
 def _opened_run(part: BatchTask, call: Call, progress: Progress) -> CaseRun:
-    return CaseRun(Case.open(part.case), part.out, call.options, progress, before=part.failures)
+    return CaseRun(Case.open_limb(part.case), part.out, call.options, progress, before=part.failures)
 
 
 _KINDS = {FIRST: _first, SITE: _site, DIAGNOSIS: _diagnosis, LAST: _last}

@@ -102,3 +102,9 @@ def test_a_folder_that_begins_with_a_dash_can_be_pasted(tmp_path: Path, monkeypa
 @pytest.mark.parametrize("words", [["--out", "my out"], ["--out=my out"], ["-o", "my out"], ["-omy out"]])
 def test_the_output_folder_is_found_however_it_is_named(words: list[str]):
     assert out_of(["mesh", "case", *words]) == Path("my out")
+
+
+def test_an_option_that_is_named_with_its_command_needs_no_other():
+    fix = "only `segment` and `limb --c-kpa` need none"
+    error = CaseError("case.toml has no site", where="case.toml", fix=fix)
+    assert for_command_line(error, ["mesh", "S1"], OPTIONS).fix == fix

@@ -37,6 +37,13 @@ def test_failure_keeps_the_previous_folder(tmp_path: Path):
     assert os.listdir(tmp_path) == ["stage"]
 
 
+@pytest.mark.parametrize("atomic", [atomic_file, atomic_folder])
+def test_failure_leaves_no_new_folder(tmp_path: Path, atomic):
+    with pytest.raises(KeyboardInterrupt), atomic(tmp_path / "out" / "p1" / "mesh"):
+        raise KeyboardInterrupt
+    assert not os.listdir(tmp_path)
+
+
 def test_a_link_to_a_folder_elsewhere_stays_one(tmp_path: Path):
     (tmp_path / "large" / "stage").mkdir(parents=True)
     (tmp_path / "out").mkdir()

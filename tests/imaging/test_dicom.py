@@ -8,7 +8,13 @@ import numpy as np
 import pydicom
 import pytest
 from limb_images import without_meta, write_dicom
-from pydicom.uid import ExplicitVRLittleEndian, ImplicitVRLittleEndian, JPEG2000Lossless, RLELossless
+from pydicom.uid import (
+    ExplicitVRLittleEndian,
+    ImplicitVRLittleEndian,
+    JPEG2000Lossless,
+    RLELossless,
+    RTStructureSetStorage,
+)
 from scipy.spatial.transform import Rotation
 
 from limbcli.errors import CaseError
@@ -85,6 +91,16 @@ def test_files_that_are_no_dicom_are_passed_over(ramp, tmp_path):
     (tmp_path / "LICENSE").write_text("free " * 400)
     (tmp_path / "empty.dcm").write_bytes(b"")
     assert read_series(tmp_path).facts["n_slices"] == 5
+
+
+def test_contours_beside_the_images_are_told(ramp, tmp_path):
+    extra = pydicom.dcmread(write_dicom(tmp_path, ramp)[0])
+    del extra.PixelData, extra.Rows
+    extra.Modality, extra.file_meta.MediaStorageSOPClassUID = "RTSTRUCT", RTStructureSetStorage
+    extra.save_as(tmp_path / "rtss.dcm")
+    series = read_series(tmp_path)
+    assert series.facts["n_slices"] == 5
+    assert any("1 RTSTRUCT; contours are not read" in note for note in series.notes)
 
 
 def test_a_series_uid_per_image_is_one_series_with_a_note(ramp, tmp_path):

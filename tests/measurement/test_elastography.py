@@ -44,7 +44,8 @@ FAULTS = {
     "lateral_mm,depth_mm,speed_m_per_s\n0,-1,2\n": "depth_mm is -1",
     "lateral_mm,depth_mm,speed_m_per_s\n300,1,2\n": "lateral_mm is 300",
     "lateral_mm,depth_mm,speed_m_per_s\n0,1,0\n": "speed_m_per_s is 0",
-    "lateral_mm,depth_mm,speed_m_per_s\n0,1,nan\n": "speed_m_per_s is nan",
+    "lateral_mm,depth_mm,speed_m_per_s\n0,1,inf\n": "speed_m_per_s is inf",
+    "lateral_mm,depth_mm,speed_m_per_s\nnan,1,2\n": "lateral_mm is nan",
     "lateral_mm,depth_mm,speed_m_per_s\n0,1,\n": "speed_m_per_s is empty",
     "lateral_mm,depth_mm,speed\n0,1,2\n": "'speed'",
     "": "empty",
@@ -85,6 +86,17 @@ def test_a_level_at_which_nothing_was_read_is_a_map_of_no_pixels(tmp_path):
     assert not swe.check_mean(maps[1], float("nan"))
     (problem,) = swe.check_mean(maps[1], 2.1)
     assert "no pixel" in problem.what
+
+
+def test_a_pixel_whose_speed_is_nan_was_not_read(tmp_path):
+    path = swe.map_file(tmp_path, 0)
+    path.write_text("lateral_mm,depth_mm,speed_m_per_s\n0,1,2.5\n0,2,NaN\n")
+    assert swe.read_map(path).speed_m_per_s.tolist() == [2.5]
+
+
+def test_maps_of_other_names_are_told_how_maps_are_named(tmp_path):
+    swe.write_map(tmp_path / "map_0.csv", square_map())
+    assert "level_00.csv, level_01.csv, ..." in swe.check_maps(tmp_path)[1][-1].fix
 
 
 def test_maps_without_any_pixel_are_refused(tmp_path):

@@ -208,6 +208,7 @@ def test_a_column_of_lengths_that_is_not_read_is_told(tmp_path):
         "Reading,Load [N],Load cell 2 [N],Elapsed Time [sec]\n1,0,0,0\n2,1.5,0,0.1\n3,2.5,0,0.2\n",
         "# time_s  force_n\n  0.0   0.0\n  0.1   1.5\n  0.2   2.5\n",
         "   Time (s)    Force (N)\n   0.0   0.0\n   0.1   1.5\n   0.2   2.5\n",
+        "Zeit, s    Kraft, N\n0,0   0,0\n0,1   1,5\n0,2   2,5\n",
     ],
 )
 def test_records_of_testing_machines_need_no_names(tmp_path, text):
@@ -217,6 +218,25 @@ def test_records_of_testing_machines_need_no_names(tmp_path, text):
     np.testing.assert_allclose(trace.time, [0.0, 0.1, 0.2])
     np.testing.assert_allclose(trace.force, [0.0, 1.5, 2.5])
     assert ("counted as positive" in trace.converted) == ("-" in text)
+
+
+def test_headers_between_blocks_of_rows_are_passed_over(tmp_path):
+    header = "Timed Data\tTime:\t9.5\tSec\nAxial Force\tTime\nN\tSec\n"
+    path = tmp_path / "a.txt"
+    path.write_text(f"{header}0\t0\n1.5\t0.1\n\n{header}2.5\t0.2\n3.5\t0.3\n")
+    trace = read_recording(path)
+    np.testing.assert_allclose(trace.time, [0.0, 0.1, 0.2, 0.3])
+    np.testing.assert_allclose(trace.force, [0.0, 1.5, 2.5, 3.5])
+
+
+def test_titles_above_units_are_named_where_a_column_has_none(tmp_path):
+    path = tmp_path / "a.csv"
+    path.write_text("Points,Elapsed Time ,Load 1\n,Sec,N\n1,0,0\n2,0.1,1.5\n")
+    with pytest.raises(MeasurementError) as caught:
+        read_recording(path)
+    assert "'Load 1'" in caught.value.fix
+    read = read_recording(path, RecordingFormat(columns={"force_n": "Load 1"}))
+    np.testing.assert_allclose(read.force, [0.0, 1.5])
 
 
 def test_our_own_names_go_before_other_words(tmp_path):

@@ -47,6 +47,27 @@ def test_absent_and_unreadable_files_say_what_to_do(tmp_path):
         read_surface(tmp_path / "bad.ply")
 
 
+def test_triangles_that_do_not_meet_are_told(make_ball, tmp_path, rng):
+    import meshio
+
+    corners = make_ball((0, 0, 0), 10.0).corners.reshape(-1, 3)
+    loose = corners + rng.uniform(-1e-4, 1e-4, corners.shape)
+    path = tmp_path / "skin.stl"
+    meshio.Mesh(loose, [("triangle", np.arange(len(loose)).reshape(-1, 3))]).write(path)
+    with pytest.raises(MeshError, match="do not meet") as caught:
+        read_surface(path)
+    assert "Merge Close Vertices" in caught.value.fix
+
+
+def test_a_cloud_of_points_is_told(tmp_path):
+    head = "ply\nformat ascii 1.0\nelement vertex 2\n"
+    lines = "".join(f"property float {each}\n" for each in "xyz")
+    (tmp_path / "scan.ply").write_text(f"{head}{lines}end_header\n0 0 0\n1 1 1\n")
+    with pytest.raises(MeshError) as caught:
+        read_surface(tmp_path / "scan.ply")
+    assert "points alone" in caught.value.fix
+
+
 def test_part_leaves_out_unused_points():
     square = Triangles(np.eye(4, 3), np.array([[0, 1, 2], [0, 2, 3]]))
     assert len(square.part(np.array([True, False])).points) == 3

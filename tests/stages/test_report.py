@@ -12,6 +12,7 @@ from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
 
+import meshio
 import numpy as np
 import pytest
 from matplotlib.figure import Figure
@@ -36,11 +37,13 @@ from limbcli.reporting.sections.overview import overview
 from limbcli.reporting.sections.parameters import parameters
 from limbcli.reporting.sections.unloaded_state import states
 from limbcli.results import open_stage, read_result, sealed
+from limbcli.stages.batch import batch
 from limbcli.stages.batching.outcome import keep_error, report_failure
 from limbcli.stages.report import report
 from limbcli.stages.report_pages.material import gather
 from limbcli.version import __version__
 from tests.stages import test_report_state
+from tests.stages.test_mesh import prism
 
 CASE_TOML = """\
 format = 1
@@ -704,7 +707,7 @@ def test_a_faulty_template_of_the_users_is_named_and_leaves_no_half_page(tmp_pat
     with pytest.raises(CaseError, match="a template is invalid") as caught:
         report(case, out=tmp_path / "out", templates=tmp_path / "mine")
     assert "mine" in caught.value.where
-    assert not list((tmp_path / "out").iterdir())
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_folder_of_templates_that_is_not_there_is_named(tmp_path):
@@ -932,3 +935,16 @@ def test_the_methods_cite_only_what_was_run(tmp_path: Path):
     assert told.startswith("Computed by limbcli")
     assert "Ranger" not in told
     assert "TetGen" not in told
+
+
+def test_a_case_without_sites_and_probe_gets_its_page(tmp_path: Path):
+    for name, body in (("skin", prism(30.0, -60, 60)), ("tibia", prism(9.0, -55, 55, x=4.0))):
+        meshio.Mesh(body.points, [("triangle", body.faces)]).write(tmp_path / f"{name}.ply")
+    (tmp_path / "case.toml").write_text(CASE_TOML.partition("[probe]")[0])
+    found = batch(tmp_path, out=tmp_path / "out")
+    assert not found.failures
+    page = found.report.read_text()
+    assert "the case has no site" in page
+    assert "chapter-parameters" not in page
+    (tmp_path / "case.toml").write_text(CASE_TOML.partition("[probe]")[0] + "[[site]]\nname = 'p1'\n")
+    assert batch(tmp_path, out=tmp_path / "out").failures  # sites that are there must be complete

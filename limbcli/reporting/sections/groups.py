@@ -49,8 +49,9 @@ def groups(
     """
     sites = [_site(page, site) for site in page.sites]
     whole = _there(limb(page), socket(page))
+    found = _there(parameters(page), joint(page), laws(page)) if page.sites else ()
     chapters = (
-        SectionGroup("chapter-parameters", "Parameters", _there(parameters(page), joint(page), laws(page))),
+        *([SectionGroup("chapter-parameters", "Parameters", found)] if found else ()),
         *sites,
         *([SectionGroup("chapter-limb", "Whole limb", whole)] if whole else ()),
         SectionGroup("chapter-segmentation", "Segmentation", _there(segmentation(page))),

@@ -136,9 +136,8 @@ def _sentence(sites: tuple[SiteGlance, ...], failures: tuple[Outcome, ...], n_wa
     text = ""
     for state, words in (("bad", "Poor"), ("doubtful", "Doubtful")):
         text += "".join(f"{words} fit at {name}: {fit.words}. " for name, fit in judged if fit.state == state)
-    text += (
-        f"The tissue was fitted at {len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}."
-    )
+    among = f"{len(fitted)} of {len(sites)} {'site' if len(sites) == 1 else 'sites'}"
+    text += f"The tissue was fitted at {among}." if sites else "No tissue was fitted: the case has no site."
     if fitted and not weak and not any(fit.state == "bad" for _, fit in judged):
         text += " All fitted parameters are identified."
     if weak:

@@ -71,7 +71,7 @@ def limb_stiffness(case: Case, out: Chain, writer: StageWriter, *, c_kpa: float 
         fix = "run `limbcli fit CASE`" if case.sites else "add a [[site]] and fit it"
         raise CaseError(
             f"the limb's stiffness is unknown: {what}", where=case.subject,
-            fix=f"{fix}, or give the stiffness by hand: --c-kpa",
+            fix=f"{fix}, or give the stiffness by hand: `limb --c-kpa` (`batch` then repeats it)",
         )  # fmt: skip
     words = f"mean of 2 mu from SWE at rest of {_listed(speeds)}"
     return TissueLaw(float(np.mean(list(speeds.values()))), F_KAPPA, M, words, tuple(speeds))

@@ -228,7 +228,8 @@ def _bodies(surface: Triangles, path: Path) -> dict[str, Triangles]:
         raise CaseError(
             "the skin's file contains only one body, and no bones are given",
             where=str(path),
-            fix='add `bones = ["file", ...]` to [imaging], or give all bodies in one file',
+            fix='add `bones = ["file", ...]` to [imaging], or give all bodies in one file; of a scan of '
+            'the skin say bone = "from-ultrasound"',
         )
     return {SKIN: skin, **dict(zip(names_of_bodies(skin, bones), bones, strict=True))}
 
