@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, ShapeParameter
+from limbcli.fem.derivatives.parameters import Parameter
 from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
 from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
 from limbcli.fem.motion.state import State
@@ -25,7 +25,6 @@ from limbcli.fem.record_fields import (
     TANGENT_FIELDS,
     _component,
     check_record,
-    mean_places,
     pair_push,
     pushed,
     right_stretch,
@@ -47,8 +46,6 @@ def record_derivatives(
     if record.kind == "rigid_body":
         b = [body.name for body in system.bodies].index(str(record.items))
         shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
-        if isinstance(parameter, BodyMotion) and parameter.body == system.bodies[b].name:
-            shift = shift + np.asarray(parameter.motion[:3])
         turn = _vector_change(state.bodies[b].rotation, spin)
         values = np.concatenate([shift, turn, sensitivity.bodies[b]])
         return np.array([b], dtype=np.int64), values[None, [BODY_FIELDS.index(n) for n in record.fields]]
@@ -56,17 +53,12 @@ def record_derivatives(
         reactions = np.zeros(0)
         if {"Rx", "Ry", "Rz"} & set(record.fields):
             reactions = reaction_changes(system, state, parameter, sensitivity)
-        moves, rest = _node_changes(system, state, parameter, sensitivity)
-        of = {"x": moves + rest, "u": moves, "R": reactions}
-        columns = [of[name[0] if name in NODE_FIELDS[3:] else "x"] for name in record.fields]
+        moves = _node_changes(system, state, sensitivity)
+        columns = [reactions if name.startswith("R") else moves for name in record.fields]
         places = [NODE_FIELDS.index(name) % 3 for name in record.fields]
         values = np.stack([c[:, k] for c, k in zip(columns, places, strict=True)], axis=1)
     else:
         values = np.zeros((sum(len(b.cells) for b in system.model.mesh.blocks), len(record.fields)))
-        for k, name in enumerate(record.fields):
-            if name in _CENTER:  # positions of rigid cells; those of other cells are overwritten below
-                _, rest = _node_changes(system, state, parameter, sensitivity)
-                values[:, k] = mean_places(system, rest)[:, _CENTER.index(name)]
         for number, group in enumerate(system.groups):
             rows = cell_field_derivatives(system, state, number, record.fields, parameter, sensitivity)
             values[group.first : group.first + len(group.cells)] = rows
@@ -113,8 +105,7 @@ def cell_field_derivatives(
         elif name in _STRETCH:
             columns.append(_component(tensors["U"][1], _STRETCH[name]))
         elif name in _CENTER:
-            moves, rest = _node_changes(system, state, parameter, sensitivity)
-            of_nodes = (moves + rest)[:, _CENTER.index(name)]
+            of_nodes = _node_changes(system, state, sensitivity)[:, _CENTER.index(name)]
             columns.append(of_nodes[system.groups[number].cells] @ system.groups[number].shares)
         else:
             columns.append(principal[name[0]][:, int(name[1]) - 1])
@@ -166,23 +157,15 @@ def _tangent_change(at: PointChanges) -> Array:
     return np.asarray(whole / J - growth * pushed(F, at.CC))
 
 
-def _node_changes(
-    system: System, state: State, parameter: Parameter, sensitivity: Sensitivity
-) -> tuple[Array, Array]:
-    """Derivatives (n_points, 3) of displacements and of reference positions of all nodes, also rigid ones."""
-    moves, rest = sensitivity.displacement.copy(), np.zeros_like(system.X)
-    if isinstance(parameter, ShapeParameter):
-        rest += parameter.directions
+def _node_changes(system: System, state: State, sensitivity: Sensitivity) -> Array:
+    """Derivatives (n_points, 3) of the displacements of all nodes, also rigid ones."""
+    moves = sensitivity.displacement.copy()
     for b, body in enumerate(system.bodies):
         own = np.setdiff1d(body.points, body.tied)  # tied nodes are already part of the displacements
         turn, arm = state.bodies[b].turn, system.X[own] - body.center
         shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
         moves[own] += shift + np.cross(spin, arm @ turn.T)
-        if isinstance(parameter, BodyMotion) and parameter.body == body.name:
-            begin = np.cross(parameter.motion[3:], arm)
-            rest[own] += parameter.motion[:3] + begin
-            moves[own] += begin @ turn.T - begin
-    return moves, rest
+    return moves
 
 
 def _vector_change(vector: Array, spin: Array) -> Array:
