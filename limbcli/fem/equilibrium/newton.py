@@ -16,8 +16,6 @@ from limbcli.fem.system import System
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-__all__ = ["Counts", "LoadStep", "Newton", "NotConverged", "Settings"]
-
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4  # growth of the residual allowed per step, in the first iterations
 _ROUND_OFF = 1e-6  # residual regarded as round-off, as a fraction of `System.least_force`
 _FORCING = (1e-4, 0.1)  # bounds on the forcing term, the relative tolerance of the linear solve

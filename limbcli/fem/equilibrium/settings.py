@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 
@@ -35,14 +35,13 @@ class Settings:
 
 @dataclass
 class Counts:
-    """Counts of the work done, and its time."""
+    """Counts of the work done."""
 
     iterations: int = 0
     residuals: int = 0
     krylov: int = 0
     factorisations: int = 0
     retries: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 class WorkLimit(Protocol):
