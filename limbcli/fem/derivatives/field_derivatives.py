@@ -7,6 +7,9 @@ finite differences of the law, accurate to about nine digits; all others are exa
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
 from limbcli.fem.derivatives.parameters import Parameter
@@ -14,17 +17,11 @@ from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
 from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
 from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import (
-    _CENTER,
-    _F,
-    _PRINCIPAL,
-    _STRAIN,
-    _STRESS,
-    _STRETCH,
     BODY_FIELDS,
     NODE_FIELDS,
     TANGENT_FIELDS,
-    _component,
     check_record,
+    columns_of,
     pair_push,
     pushed,
     right_stretch,
@@ -79,37 +76,30 @@ def cell_field_derivatives(
     Where principal values coincide, the derivatives are one-sided, for increasing theta and in the order
     the values then have; for decreasing theta the same values apply in the opposite order.
     """
-    tangent = bool(set(TANGENT_FIELDS) & set(fields))
+    group, tangent = system.groups[number], bool(set(TANGENT_FIELDS) & set(fields))
     at = point_changes(system, state, number, parameter, sensitivity.displacement, tangent=tangent)
-    spatial = _tangent_change(at).mean(axis=1) if tangent else np.zeros(0)
     C = np.swapaxes(at.F, -1, -2) @ at.F
-    tensors = {"s": (at.stress, at.d_stress), "E": (0.5 * (C - np.eye(3)), at.d_strain)}
-    if any(name.startswith("U") for name in fields):
-        tensors["U"] = right_stretch(C), stretch_change(C, 2.0 * at.d_strain)
-    principal = {}
-    for letter in {name[0] for name in _PRINCIPAL if name in fields}:
-        value, change = (each.reshape(-1, 3, 3) for each in tensors[letter])
-        principal[letter] = principal_changes(value, change).reshape(*C.shape[:2], 3).mean(axis=1)
-    columns = []
-    for name in fields:
-        if name in TANGENT_FIELDS:
-            columns.append(spatial[:, *divmod(TANGENT_FIELDS.index(name), 6)])
-        elif name in ("J", "sed"):
-            columns.append((at.d_volume if name == "J" else at.d_energy).mean(axis=1))
-        elif name in _F:
-            columns.append(at.dF[:, :, *_F[name]].mean(axis=1))
-        elif name in _STRESS:
-            columns.append(_component(at.d_stress, _STRESS[name]))
-        elif name in _STRAIN:
-            columns.append(_component(at.d_strain, _STRAIN[name]))
-        elif name in _STRETCH:
-            columns.append(_component(tensors["U"][1], _STRETCH[name]))
-        elif name in _CENTER:
-            of_nodes = _node_changes(system, state, sensitivity)[:, _CENTER.index(name)]
-            columns.append(of_nodes[system.groups[number].cells] @ system.groups[number].shares)
-        else:
-            columns.append(principal[name[0]][:, int(name[1]) - 1])
-    return np.stack(columns, axis=1)
+
+    tensors: dict[str, tuple[Callable[[], Array], Callable[[], Array]]] = {
+        "s": (lambda: at.stress, lambda: at.d_stress),
+        "E": (lambda: 0.5 * (C - np.eye(3)), lambda: at.d_strain),
+        "U": (lambda: right_stretch(C), lambda: stretch_change(C, 2.0 * at.d_strain)),
+    }
+
+    def principal(name: str) -> Array:
+        value, change = (each().reshape(-1, 3, 3) for each in tensors[name])
+        return principal_changes(value, change).reshape(*C.shape[:2], 3).mean(axis=1, keepdims=True)
+
+    moves = _node_changes(system, state, sensitivity)[group.cells]
+    return columns_of(fields, {
+        "J": lambda: at.d_volume,
+        "sed": lambda: at.d_energy,
+        "place": lambda: np.einsum("k,cki->ci", group.shares, moves)[:, None],
+        "F": lambda: at.dF,
+        "tangent": lambda: _tangent_change(at).mean(axis=1, keepdims=True),
+        **{name: change for name, (_, change) in tensors.items()},
+        **{f"principal {name}": partial(principal, name) for name in tensors},
+    })  # fmt: skip
 
 
 def stretch_change(C: Array, change: Array) -> Array:
