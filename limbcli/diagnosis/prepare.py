@@ -38,6 +38,7 @@ from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model, save_model
+from limbcli.model.patient_frame import patient_from_model
 from limbcli.progress import Progress
 from limbcli.results import data_if_there, plain, read_result
 from limbcli.site_model.element_fibres import with_fibres
@@ -156,9 +157,8 @@ def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
     """Direction across the probe's long axis: along the limb if the probe was across it, and vice versa."""
     if isinstance(site.long_axis, str):
         return "axial" if site.long_axis == "transverse" else "transverse"
-    entries = model.info.get("patient_from_model", np.eye(4).ravel())
-    y = np.array(entries, dtype=float).reshape(4, 4)[:3, 1]
-    return float(y[0]), float(y[1]), float(y[2])
+    x, y, z = patient_from_model(model)[:3, 1].tolist()
+    return x, y, z
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
