@@ -15,8 +15,6 @@ class Settings:
         holds sticking points anew there: the two then agree, and every time step loses more friction
     stalled : relative residual accepted where the iteration stagnates, as when a contact point alternates
         between open and closed
-    renew_ratio : the elastic tangent is reassembled after an iteration that leaves more than this fraction
-        of the residual
     single : factor in single precision (None: for large systems); GMRES restores the accuracy
     linear : "auto", "multifrontal", "pardiso" or "superlu"
     volume_ratios : use independent volume ratios during the iteration (see `Newton.with_volumes`)
@@ -28,7 +26,6 @@ class Settings:
     threads: int = 2
     single: bool | None = None
     volume_ratios: bool = True
-    renew_ratio: float = 1e-3
     stalled: float = 0.0
     slip_as_febio: bool = False
 
