@@ -120,20 +120,14 @@ def _body(model: LimbModel, body: RigidBody, drives: tuple[Drive, ...]) -> Body:
                 f"body {body.name!r} has two drives for {each.dof}", where="rigid bodies", fix="keep one"
             )
         mine[each.dof] = each
-    points = _nodes(model, body.blocks)
-    shared = np.intersect1d(points, _nodes(model, tuple(domain.block for domain in model.domains)))
+    points = model.mesh.nodes_of(body.blocks)
+    shared = np.intersect1d(points, model.mesh.nodes_of(domain.block for domain in model.domains))
     tied = np.unique(np.concatenate([*(model.mesh.node_sets[name] for name in body.node_sets), shared]))
     made = Body(body.name, np.array(body.center_of_mass, dtype=float), mine, tied, points)
     is_sprung = any(body.name in (spring.body_a, spring.body_b) for spring in model.springs)
     if not (len(tied) or len(points) or is_sprung):
         return made
     return replace(made, free=tuple(k for k, dof in enumerate(DOFS) if not made.given(dof)))
-
-
-def _nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
-    """Unique node numbers (n,) of the blocks' cells."""
-    cells = [model.mesh.block(name).cells.ravel() for name in blocks]
-    return np.unique(np.concatenate(cells)) if cells else np.zeros(0, dtype=np.int64)
 
 
 def spring_forces(spring: Spring, bodies: dict[str, tuple[Body, BodyState]]) -> tuple[Array, Array, Array]:
