@@ -12,8 +12,8 @@ from functools import partial
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem.elements import kernels
 from limbcli.fem.elements.element import shape
+from limbcli.fem.elements.element_loops import states_at_points
 from limbcli.fem.elements.mean_dilatation import pressures
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.equilibrium.history import elastic_stress
@@ -118,13 +118,7 @@ def _mean_places(system: System) -> Array:
 def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Array]:
     """F of the mesh (without prestrain) and Cauchy stress of a group, both (n_cells, n_gauss, 3, 3)."""
     o = system.operands[number]
-    shape = (*o.weight.shape, 3, 3)
-    F, S = np.empty(shape), np.empty((*o.weight.shape, 6))
-    nothing = np.zeros((0, 1, 6, 6))
-    args = o.arguments()
-    system.threads.run(
-        lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, nothing), len(o.cells)
-    )
+    F, S, _ = states_at_points(system.threads, o, state.u)
     J = np.linalg.det(F)
     stress = F @ S[..., VOIGT] @ np.swapaxes(F, -1, -2) / J[..., None, None]
     if o.bulk is not None:
@@ -193,10 +187,7 @@ def right_stretch(C: Array) -> Array:
 def spatial_tangent(system: System, state: State, number: int) -> Array:
     """Spatial tangent c_ijkl = F_iI F_jJ F_kK F_lL CC_IJKL / J as (n_cells, n_gauss, 6, 6), Voigt order."""
     o = system.operands[number].complete()
-    shape = o.weight.shape
-    F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
-    args = o.arguments()
-    system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, CC), len(o.cells))
+    F, _, CC = states_at_points(system.threads, o, state.u, tangent=True)
     return pushed(F, CC)
 
 

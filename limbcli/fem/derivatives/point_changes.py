@@ -22,7 +22,7 @@ from limbcli.fem.derivatives.parameters import (
     prestrain_change,
     programs,
 )
-from limbcli.fem.elements import kernels
+from limbcli.fem.elements.element_loops import states_at_points
 from limbcli.fem.elements.groups import Group, Operands
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
@@ -109,10 +109,7 @@ def point_changes(
     tangent : whether `CC` and `d_tangent` will be used
     """
     group, o = system.groups[number], system.operands[number]
-    shape = o.weight.shape
-    law_F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
-    args = o.sloped().arguments()
-    system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, law_F, S, CC), len(o.cells))
+    law_F, S, CC = states_at_points(system.threads, o.sloped(), state.u, tangent=True)
     F = law_F @ np.linalg.inv(o.base)
     dF = _gradient(group, v)
     law_dF = dF @ o.base
@@ -123,8 +120,7 @@ def point_changes(
     dS = np.einsum("egpq,egq->egp", CC, E)
     direct, dpar = _of_the_law(system, state, number, parameter)
     if tangent and o.jumps:
-        args = o.arguments()
-        kernels.stress_state(0, len(o.cells), state.u, *args, law_F, S, CC)
+        law_F, S, CC = states_at_points(system.threads, o, state.u, tangent=True)
     stresses = S[..., VOIGT], (dS + direct)[..., VOIGT]
     return PointChanges(group.material, o, F, dF, law_F, law_dF, *stresses, CC, dpar)
 
@@ -137,10 +133,8 @@ def _of_the_law(system: System, state: State, number: int, parameter: Parameter)
         return dS, dpar
     rates, weights = parameter.rates, parameter.weights
     dpar = dpar + group.material.change(rates, len(group.cells), system.curve, weights=weights)
-    F, S, nothing = np.empty((*o.weight.shape, 3, 3)), np.empty_like(dS), np.zeros((0, 1, 6, 6))
     for program in found[number]:
-        own = o.with_program(program).arguments()
-        kernels.stress_state(0, len(o.cells), state.u, *own, F, S, nothing)
+        _, S, _ = states_at_points(system.threads, o.with_program(program), state.u)
         dS += S if program.factor is None else S * program.factor[:, None, None]
     return dS, dpar
 
