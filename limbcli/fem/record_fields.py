@@ -133,7 +133,8 @@ def columns_of(fields: tuple[str, ...], quantities: Mapping[str, Callable[[], Ar
     """
     several = [_COMPONENTS[name] for name in fields]
     known = {name: quantities[name]() for name in {of for of, _ in several}}
-    return np.stack([known[of][:, :, *at].mean(axis=1) for of, at in several], axis=1)
+    every = slice(None)
+    return np.stack([known[of][(every, every, *at)].mean(axis=1) for of, at in several], axis=1)
 
 
 def cell_fields(system: System, state: State, number: int, fields: tuple[str, ...]) -> Array:

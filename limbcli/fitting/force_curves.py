@@ -88,8 +88,7 @@ class ReferenceCurve:
             self.depths = known.depths
             return known.prediction
         self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
-        wrt = [(TISSUE, "kappa"), (TISSUE, "m1-m2")]
-        result = self._session.solve(model, wrt=wrt, weights=self._weights)
+        result = self._session.solve(model, wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")], weights=self._weights)
         by_kappa, by_m = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1-m2"))
         self.depths = result.must_points.depths
         by_f_kappa = by_kappa if isinstance(self._c, ElementMap) else self._c * by_kappa
