@@ -133,8 +133,14 @@ def columns_of(fields: tuple[str, ...], quantities: Mapping[str, Callable[[], Ar
     """
     several = [_COMPONENTS[name] for name in fields]
     known = {name: quantities[name]() for name in {of for of, _ in several}}
-    every = slice(None)
-    return np.stack([known[of][(every, every, *at)].mean(axis=1) for of, at in several], axis=1)
+    columns = [_component(known[of], at).mean(axis=1) for of, at in several]
+    return np.stack(columns, axis=1)
+
+
+def _component(values: Array, at: tuple[int, ...]) -> Array:
+    """A component (n_cells, n_gauss) of values (n_cells, n_gauss, ...)."""
+    index: tuple[slice | int, ...] = (slice(None), slice(None), *at)
+    return values[index]
 
 
 def cell_fields(system: System, state: State, number: int, fields: tuple[str, ...]) -> Array:
