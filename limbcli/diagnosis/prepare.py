@@ -38,6 +38,7 @@ from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_model import MeshOptions, site_model
 from limbcli.model import LimbModel
 from limbcli.model.npz_file import load_model, save_model
+from limbcli.model.patient_frame import patient_from_model
 from limbcli.progress import Progress
 from limbcli.results import data_if_there, plain, read_result
 from limbcli.site_model.element_fibres import with_fibres
@@ -86,23 +87,24 @@ def prepare(
     Raises CaseError if `segment` has not been run; MeasurementError if the levels cannot be used; SolveError
     if the model without effects cannot be solved.
     """
-    made, refused = Prepared(case, site, out, mesh, progress), dict[str, LimbError]()
-    made.simulations = simulations = made.simulated()
+    making = Preparation(case, site, out, mesh, progress)
+    simulations, refused = making.simulated(), dict[str, LimbError]()
+    interventions: Sequence[Intervention] = ()
     try:
         where_solved(simulations.curves, FIRST_M)  # failures are reported where the curves are used
         numerics = NumericalChecks(
-            case=case, site=site, levels=made.levels, simulations=simulations, out=out, size=made.size,
-            notes=made.notes, progress=progress,
+            case=case, site=site, levels=making.levels, simulations=simulations, out=out, size=making.size,
+            notes=making.notes, progress=progress,
         )  # fmt: skip
         correction = mesh_correction(numerics, solves=mesh.interventions)
         if mesh.interventions:
-            made.interventions = numerics.interventions()
-        data = made.data(numerics, correction, extras)
+            interventions = numerics.interventions()
+        data = making.data(numerics, correction, interventions, extras)
         if POROELASTICITY in effects and draining is not None:
             try:
                 drains = drained(
-                    draining, data.seen.held, simulations, deepest=simulations.needed, keep=made.work,
-                    notes=made.notes, progress=progress,
+                    draining, data.seen.held, simulations, deepest=simulations.needed, keep=making.work,
+                    notes=making.notes, progress=progress,
                 )  # fmt: skip
                 effects = {**effects, POROELASTICITY: drains}
             except LimbError as error:
@@ -110,11 +112,14 @@ def prepare(
     except LimbError:
         simulations.close()
         raise
-    made.curves = SiteCurves(
-        data, simulations, effects, correction=correction, penetration=numerics.penetration, refused=refused,
-        progress=progress,
+    curves = SiteCurves(
+        data, simulations, effects, correction=correction,
+        penetration=numerics.penetration if mesh.interventions else None, refused=refused, progress=progress,
     )  # fmt: skip
-    return made
+    return Prepared(
+        site=site, size=making.size, notes=making.notes, simulations=simulations, curves=curves,
+        interventions=interventions,
+    )  # fmt: skip
 
 
 def turned_by_90(
@@ -125,7 +130,7 @@ def turned_by_90(
     site, known = prepared.site, prepared.curves
     other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
-    simulations = Prepared(case, other, out, replace(mesh, size=prepared.size), progress).simulated()
+    simulations = Preparation(case, other, out, replace(mesh, size=prepared.size), progress).simulated()
     curves = SiteCurves(
         known.site, simulations, known.effects, penetration=known.penetration, refused=known.refused,
         progress=progress,
@@ -152,20 +157,27 @@ def _across(site: Site, model: LimbModel) -> str | tuple[float, float, float]:
     """Direction across the probe's long axis: along the limb if the probe was across it, and vice versa."""
     if isinstance(site.long_axis, str):
         return "axial" if site.long_axis == "transverse" else "transverse"
-    entries = model.info.get("patient_from_model", np.eye(4).ravel())
-    y = np.array(entries, dtype=float).reshape(4, 4)[:3, 1]
-    return float(y[0]), float(y[1]), float(y[2])
+    x, y, z = patient_from_model(model)[:3, 1].tolist()
+    return x, y, z
 
 
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Prepared:
     """One site: its data and curves, the numerical checks on its mesh, and notes to report.
 
-    size : mm, of the working mesh's edges under the probe; simulations, curves, interventions : once prepared
+    size : mm, of the working mesh's edges under the probe
     """
 
+    site: Site
+    size: float
+    notes: Notes
     simulations: SiteSimulations
     curves: SiteCurves
-    interventions: Sequence[Intervention] = ()
+    interventions: Sequence[Intervention]
+
+
+class Preparation:
+    """Makes a site's working mesh, simulations and data."""
 
     def __init__(self, case: Case, site: Site, out: Path, mesh: WorkingMesh, progress: Progress):
         self.case, self.site, self.out, self.mesh, self.progress = case, site, out, mesh, progress
@@ -255,8 +267,9 @@ class Prepared:
         return load_model(kept)  # reloaded, so that a resumed diagnosis uses an identical model
 
     def data(
-        self, numerics: NumericalChecks, correction: MeshCorrection, extras: Sequence[ExtraMeasurement]
-    ) -> SiteData:
+        self, numerics: NumericalChecks, correction: MeshCorrection, interventions: Sequence[Intervention],
+        extras: Sequence[ExtraMeasurement],
+    ) -> SiteData:  # fmt: skip
         """The data, with what is known of how far the models are off."""
         held = None
         if self.site.trace is not None:
@@ -276,4 +289,4 @@ class Prepared:
             levels, self.site.noise, windows=self.windows, maps=self.maps, held=held, extras=extras,
             usable=numerics.parts_seen(), layers=self.layers,
         )  # fmt: skip
-        return site_data(self.site.name, seen, numerics.known_errors(correction, self.interventions))
+        return site_data(self.site.name, seen, numerics.known_errors(correction, interventions))

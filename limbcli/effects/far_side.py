@@ -24,7 +24,7 @@ HELD = Parameter("far_side_held", null=0.0, start=1.0, low=0.0, high=1.0, typica
 def far_side(model: LimbModel) -> IntArray:
     """Nodes of the tissue that lie more than `BEYOND` behind the bone's near surface on the beam; where the
     beam meets no bone, behind the middle of the tissue."""
-    nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
+    nodes = model.mesh.solid_nodes
     height = model.mesh.points[nodes, 2]
     depth = thickness(model)
     bone = -depth if np.isfinite(depth) and depth > 0 else 0.5 * float(height.min())

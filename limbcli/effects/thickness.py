@@ -11,8 +11,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import numpy as np
-
 from limbcli.effects.effect import Effect, Parameter, Theta
 from limbcli.model import LimbModel
 
@@ -25,7 +23,7 @@ def apply(model: LimbModel, theta: Theta) -> LimbModel:
     change = theta[SCALE.name]
     if change == 0.0:
         return model
-    nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
+    nodes = model.mesh.solid_nodes
     points = model.mesh.points.copy()
     points[nodes, 2] *= 1.0 + change
     return replace(model, mesh=replace(model.mesh, points=points))

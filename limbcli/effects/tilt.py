@@ -43,7 +43,7 @@ def turned(model: LimbModel, degrees: tuple[float, float, float]) -> LimbModel:
         return model
     axis = turn / angle
     body = model.bodies[0]
-    nodes = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in body.blocks]))
+    nodes = model.mesh.nodes_of(body.blocks)
     center = np.array(body.center_of_mass)
     points = model.mesh.points.copy()
     arms = points[nodes] - center

@@ -9,6 +9,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.model import Array, Block, ElementMap, LimbModel, Material, Value
+from limbcli.model.patient_frame import HEAD, patient_from_model
 
 TISSUE = "tissue"  # name of the tissue's material
 WRAPPERS = ("prestrain", "biphasic", "viscoelastic")  # laws that wrap a whole tissue, outermost first
@@ -119,15 +120,11 @@ def limb_axis(model: LimbModel) -> tuple[float, float, float]:
     It is derived from the patient's head-foot axis or, if the model has no patient frame, taken across the
     probe's long side.
     """
-    entries = model.info.get("patient_from_model")
-    axis = np.array([0.0, 1.0, 0.0])
-    if entries is not None:
-        rotation = np.array(entries, dtype=float).reshape(4, 4)[:3, :3]
-        axis = rotation.T @ np.array([0.0, 0.0, 1.0])
-        axis[2] = 0.0
-        length = float(np.linalg.norm(axis))
-        axis = axis / length if length > 1e-6 else np.array([0.0, 1.0, 0.0])
-    return float(axis[0]), float(axis[1]), float(axis[2])
+    axis = patient_from_model(model)[:3, :3].T @ HEAD
+    axis[2] = 0.0
+    length = float(np.linalg.norm(axis))
+    x, y, z = axis / length if length > 1e-6 else (0.0, 1.0, 0.0)
+    return float(x), float(y), float(z)
 
 
 def fibre_direction(model: LimbModel) -> Value:

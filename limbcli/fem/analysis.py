@@ -16,8 +16,8 @@ from functools import partial
 from limbcli.errors import SolveError
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.load_stepping import LoadStepping
-from limbcli.fem.equilibrium.newton import Counts, Newton, Settings
-from limbcli.fem.equilibrium.settings import WorkLimit, WorkMeter
+from limbcli.fem.equilibrium.newton import Newton
+from limbcli.fem.equilibrium.settings import Counts, Settings, WorkLimit, WorkMeter
 from limbcli.fem.equilibrium.solve_times import counts_every_step, listed_times, step_times
 from limbcli.fem.motion import load_curves
 from limbcli.fem.motion.state import Forces, State

@@ -6,13 +6,14 @@ FEBio's log. A rigid cell has J = 1, F = 1, zero stress and its initial position
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from functools import partial
 
 import numpy as np
 
 from limbcli.errors import SolveError
-from limbcli.fem.elements import kernels
 from limbcli.fem.elements.element import shape
+from limbcli.fem.elements.element_loops import states_at_points
 from limbcli.fem.elements.mean_dilatation import pressures
 from limbcli.fem.elements.quadrature import rule
 from limbcli.fem.equilibrium.history import elastic_stress
@@ -22,24 +23,26 @@ from limbcli.materials.energy import energy_density, viscoelastic_energy
 from limbcli.materials.tensors import FIRST, SECOND, VOIGT
 from limbcli.model import Array, IntArray, LogRecord
 
-_TENSOR = {"x": 0, "y": 1, "z": 2, "xy": 3, "yz": 4, "xz": 5}
-_F = {f"F{a}{b}": (i, j) for i, a in enumerate("xyz") for j, b in enumerate("xyz")}
-_STRESS = {f"s{name}": k for name, k in _TENSOR.items()}
-_STRAIN = {f"E{name}": k for name, k in _TENSOR.items()}
-_CENTER = ("x", "y", "z")
+_TENSOR = {"x": (0, 0), "y": (1, 1), "z": (2, 2), "xy": (0, 1), "yz": (1, 2), "xz": (0, 2)}
 # FEBio 4.11 writes the first 21 entries, row by row, of the 6x6 spatial tangent (order xx yy zz xy yz xz)
 # under these names, even where name and entry do not correspond; done here too, to give the same file.
 TANGENT_FIELDS = (
     "cxxxx", "cxxyy", "cyyyy", "cxxzz", "cyyzz", "czzzz", "cxxxy", "cyyxy", "czzxy", "cxyxy", "cxxyz",
     "cyyyz", "czzyz", "cxyyz", "cyzyz", "cxxxz", "cyyxz", "czzxz", "cxyxz", "cyzxz", "cxzxz",
 )  # fmt: skip
-_STRETCH = {f"U{name}": k for name, k in _TENSOR.items()}
-_PRINCIPAL = tuple(f"{letter}{k}" for letter in "sEU" for k in (1, 2, 3))
-CELL_FIELDS = (
-    "J", "sed", *_PRINCIPAL, *_CENTER, *_STRESS, *_STRAIN, *_STRETCH, *_F, *TANGENT_FIELDS
-)  # fmt: skip
-STRESS_FIELDS = (*_STRESS, "s1", "s2", "s3")
-_ONES_AT_REST = ("J", "Ux", "Uy", "Uz", "U1", "U2", "U3")
+# By field of a cell: the quantity that it is a component of, and which.
+_COMPONENTS: Mapping[str, tuple[str, tuple[int, ...]]] = {
+    "J": ("J", ()),
+    "sed": ("sed", ()),
+    **{f"{letter}{k}": (f"principal {letter}", (k - 1,)) for letter in "sEU" for k in (1, 2, 3)},
+    **{axis: ("place", (k,)) for k, axis in enumerate("xyz")},
+    **{f"{letter}{name}": (letter, at) for letter in "sEU" for name, at in _TENSOR.items()},
+    **{f"F{a}{b}": ("F", (i, j)) for i, a in enumerate("xyz") for j, b in enumerate("xyz")},
+    **{name: ("tangent", divmod(k, 6)) for k, name in enumerate(TANGENT_FIELDS)},
+}
+CELL_FIELDS = tuple(_COMPONENTS)
+STRESS_FIELDS = tuple(name for name, (of, _) in _COMPONENTS.items() if of in ("s", "principal s"))
+_ONES_AT_REST = ("J", "Ux", "Uy", "Uz", "U1", "U2", "U3", "Fxx", "Fyy", "Fzz")
 NODE_FIELDS = ("x", "y", "z", "ux", "uy", "uz", "Rx", "Ry", "Rz")
 BODY_FIELDS = ("x", "y", "z", "thx", "thy", "thz", "Fx", "Fy", "Fz", "Mx", "My", "Mz")
 _KNOWN = {"element": CELL_FIELDS, "node": NODE_FIELDS, "rigid_body": BODY_FIELDS}
@@ -91,10 +94,11 @@ def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[IntArra
     n_cells = sum(len(block.cells) for block in system.model.mesh.blocks)
     values = np.zeros((n_cells, len(record.fields)))
     for k, name in enumerate(record.fields):
-        if name in _ONES_AT_REST or (name in _F and _F[name][0] == _F[name][1]):
+        of, at = _COMPONENTS[name]
+        if name in _ONES_AT_REST:
             values[:, k] = 1.0
-        if name in _CENTER:
-            values[:, k] = mean_places(system, system.X)[:, _CENTER.index(name)]
+        if of == "place":
+            values[:, k] = _mean_places(system)[:, at[0]]
     for number, group in enumerate(system.groups):
         rows = cell_fields(system, state, number, record.fields)
         values[group.first : group.first + len(group.cells)] = rows
@@ -102,25 +106,19 @@ def _cell_rows(system: System, state: State, record: LogRecord) -> tuple[IntArra
     return items, values[items]
 
 
-def mean_places(system: System, points: Array) -> Array:
-    """Mean positions (n_cells, 3) of the integration points of all cells; for rigid cells FEBio logs the
-    initial ones."""
+def _mean_places(system: System) -> Array:
+    """Mean initial positions (n_cells, 3) of the integration points of all cells, which FEBio logs for rigid
+    ones."""
     blocks = system.model.mesh.blocks
     shares = [shape(block.kind, rule(block.kind)[0])[0].mean(axis=0) for block in blocks]
-    places = [np.einsum("k,cki->ci", s, points[b.cells]) for s, b in zip(shares, blocks, strict=True)]
+    places = [np.einsum("k,cki->ci", s, system.X[b.cells]) for s, b in zip(shares, blocks, strict=True)]
     return np.concatenate(places)
 
 
 def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Array]:
     """F of the mesh (without prestrain) and Cauchy stress of a group, both (n_cells, n_gauss, 3, 3)."""
     o = system.operands[number]
-    shape = (*o.weight.shape, 3, 3)
-    F, S = np.empty(shape), np.empty((*o.weight.shape, 6))
-    nothing = np.zeros((0, 1, 6, 6))
-    args = o.arguments()
-    system.threads.run(
-        lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, nothing), len(o.cells)
-    )
+    F, S, _ = states_at_points(system.threads, o, state.u)
     J = np.linalg.det(F)
     stress = F @ S[..., VOIGT] @ np.swapaxes(F, -1, -2) / J[..., None, None]
     if o.bulk is not None:
@@ -128,47 +126,46 @@ def gauss_fields(system: System, state: State, number: int) -> tuple[Array, Arra
     return F @ np.linalg.inv(o.base), stress
 
 
+def columns_of(fields: tuple[str, ...], quantities: Mapping[str, Callable[[], Array]]) -> Array:
+    """Columns (n_cells, n_fields) of fields of cells, averaged over the integration points.
+
+    quantities : gives the values (n_cells, n_gauss, ...) of what fields are components of
+    """
+    several = [_COMPONENTS[name] for name in fields]
+    known = {name: quantities[name]() for name in {of for of, _ in several}}
+    columns = [_component(known[of], at).mean(axis=1) for of, at in several]
+    return np.stack(columns, axis=1)
+
+
+def _component(values: Array, at: tuple[int, ...]) -> Array:
+    """A component (n_cells, n_gauss) of values (n_cells, n_gauss, ...)."""
+    index: tuple[slice | int, ...] = (slice(None), slice(None), *at)
+    return values[index]
+
+
 def cell_fields(system: System, state: State, number: int, fields: tuple[str, ...]) -> Array:
     """Fields (n_cells, n_fields) of a group's cells, averaged over the integration points."""
     group = system.groups[number]
     F, stress = gauss_fields(system, state, number)
-    x = np.einsum("k,cki->ci", group.shares, (system.X + state.u)[group.cells])
-    getters: dict[str, Callable[[], Array]] = {
-        "J": lambda: np.linalg.det(F).mean(axis=1),
-        "sed": lambda: _energy(system, state, number, F, stress).mean(axis=1),
-    }
     C = np.swapaxes(F, -1, -2) @ F
-    tensors = {"s": stress, "E": 0.5 * (C - np.eye(3))}
-    if any(name.startswith("U") for name in fields):
-        tensors["U"] = right_stretch(C)
-    principal = {
-        letter: np.linalg.eigvalsh(tensors[letter]).mean(axis=1)
-        for letter in {name[0] for name in _PRINCIPAL if name in fields}
-    }
-    columns = []
-    spatial = (
-        spatial_tangent(system, state, number).mean(axis=1) if set(TANGENT_FIELDS) & set(fields) else None
-    )
-    for name in fields:
-        if name in TANGENT_FIELDS:
-            assert spatial is not None
-            row, column = divmod(TANGENT_FIELDS.index(name), 6)
-            columns.append(spatial[:, row, column])
-        elif name in getters:
-            columns.append(getters[name]())
-        elif name in _F:
-            columns.append(F[:, :, _F[name][0], _F[name][1]].mean(axis=1))
-        elif name in _STRESS:
-            columns.append(_component(stress, _STRESS[name]))
-        elif name in _STRAIN:
-            columns.append(_component(tensors["E"], _STRAIN[name]))
-        elif name in _STRETCH:
-            columns.append(_component(tensors["U"], _STRETCH[name]))
-        elif name in _CENTER:
-            columns.append(x[:, _CENTER.index(name)])
-        else:
-            columns.append(principal[name[0]][:, 3 - int(name[1])])
-    return np.stack(columns, axis=1)
+    tensors: dict[str, Callable[[], Array]] = {
+        "s": lambda: stress, "E": lambda: 0.5 * (C - np.eye(3)), "U": lambda: right_stretch(C),
+    }  # fmt: skip
+    x = (system.X + state.u)[group.cells]
+    return columns_of(fields, {
+        "J": lambda: np.linalg.det(F),
+        "sed": lambda: _energy(system, state, number, F, stress),
+        "place": lambda: np.einsum("k,cki->ci", group.shares, x)[:, None],
+        "F": lambda: F,
+        "tangent": lambda: spatial_tangent(system, state, number).mean(axis=1, keepdims=True),
+        **tensors,
+        **{f"principal {name}": partial(_principal, tensor) for name, tensor in tensors.items()},
+    })  # fmt: skip
+
+
+def _principal(tensor: Callable[[], Array]) -> Array:
+    """Mean principal values (n_cells, 1, 3) of a tensor at a group's points, largest first."""
+    return np.asarray(np.linalg.eigvalsh(tensor()).mean(axis=1, keepdims=True)[..., ::-1])
 
 
 def _energy(system: System, state: State, number: int, F: Array, stress: Array) -> Array:
@@ -197,10 +194,7 @@ def right_stretch(C: Array) -> Array:
 def spatial_tangent(system: System, state: State, number: int) -> Array:
     """Spatial tangent c_ijkl = F_iI F_jJ F_kK F_lL CC_IJKL / J as (n_cells, n_gauss, 6, 6), Voigt order."""
     o = system.operands[number].complete()
-    shape = o.weight.shape
-    F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
-    args = o.arguments()
-    system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, CC), len(o.cells))
+    F, _, CC = states_at_points(system.threads, o, state.u, tangent=True)
     return pushed(F, CC)
 
 
@@ -220,8 +214,3 @@ def pair_push(A: Array, B: Array) -> Array:
             if k != l:
                 push[..., p, q] += A[..., i, l] * B[..., j, k]
     return push
-
-
-def _component(tensor: Array, k: int) -> Array:
-    i, j = np.argwhere(k == VOIGT)[0]
-    return np.asarray(tensor[:, :, i, j].mean(axis=1))

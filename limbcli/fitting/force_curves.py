@@ -88,16 +88,7 @@ class ReferenceCurve:
             self.depths = known.depths
             return known.prediction
         self._progress.event("solve", number=self.n_solves, at_most=self.at_most)
-        try:
-            result = self._session.solve(
-                model, wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")], weights=self._weights
-            )
-        except ArithmeticError as error:
-            raise SolveError(
-                f"the law overflows at f_kappa {f_kappa:.4g}, m {m:.4g}",
-                where="reference solver",
-                fix="use a smaller m; check the depths in levels.csv",
-            ) from error
+        result = self._session.solve(model, wrt=[(TISSUE, "kappa"), (TISSUE, "m1-m2")], weights=self._weights)
         by_kappa, by_m = (result.force_gradient[(TISSUE, name)] for name in ("kappa", "m1-m2"))
         self.depths = result.must_points.depths
         by_f_kappa = by_kappa if isinstance(self._c, ElementMap) else self._c * by_kappa
@@ -180,14 +171,14 @@ class LawCurve:
     def with_penalty(self, theta: Array, penalty: float) -> Array:
         """Forces (n_reached,) N with another contact penalty, from converged levels; SolveError if none is
         reached."""
-        return self._again(with_penalty(self.fitted(theta), penalty), "contact check")
+        return self._again(with_penalty(self.fitted(theta), penalty))
 
     def with_boundary(self, theta: Array, boundary: ChangedBoundary) -> Array:
         """The same with another boundary and the same contact."""
-        return self._again(boundary.of(self.fitted(theta)), "boundary check")
+        return self._again(boundary.of(self.fitted(theta)))
 
-    def _again(self, model: LimbModel, check: str) -> Array:
-        return CheckSolver(like=self._session, progress=self._progress).forces(model, check)
+    def _again(self, model: LimbModel) -> Array:
+        return CheckSolver(like=self._session, progress=self._progress).forces(model)
 
     def fitted(self, theta: Array) -> LimbModel:
         """The model with these parameters as it is solved."""
@@ -198,17 +189,10 @@ class LawCurve:
         material = self.law.material(self._c, theta)
         searched = self.law.searched(self._c, theta)
         model = self._model.with_material(TISSUE, material)
-        try:
-            result = self._solve(
-                model, wrt=[(TISSUE, name) for name in searched], records=self._speeds,
-                field_gradients=(LINES,) if self._lines is not None else False,
-            )  # fmt: skip
-        except ArithmeticError as error:
-            raise SolveError(
-                f"the law overflows at {np.array2string(theta, precision=4)}",
-                where=f"reference solver, law {self.law.name}",
-                fix="check the depths in levels.csv, or choose another law",
-            ) from error
+        result = self._solve(
+            model, wrt=[(TISSUE, name) for name in searched], records=self._speeds,
+            field_gradients=(LINES,) if self._lines is not None else False,
+        )  # fmt: skip
         points = result.must_points
         self.depths = points.depths
         by_shape = sum(

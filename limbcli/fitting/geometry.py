@@ -144,9 +144,8 @@ def _solve_all(
             solved = session.solve(model).must_points.forces
             change = np.log(np.maximum(solved, 1e-9) / np.maximum(forces, 1e-9)) / part
             found.append(Varied(each, np.asarray(change), part))
-        except (LimbError, ArithmeticError) as error:
-            unknown = np.full(len(forces), np.nan)
-            found.append(Varied(each, unknown, why_not=str(getattr(error, "what", error))))
+        except LimbError as error:
+            found.append(Varied(each, np.full(len(forces), np.nan), why_not=error.what))
     if before is not None:
         before.close()
     return GeometryUncertainty("", tuple(found), len(todo), time.perf_counter() - clock)

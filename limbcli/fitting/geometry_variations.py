@@ -151,7 +151,7 @@ def with_second_bone(mesh: Mesh, rod: Rod) -> Mesh:
     Raises MeshError if there is no room for the rod, or the mesh is too coarse to resolve it.
     """
     radius, side = SECOND_RADIUS * rod.radius, np.cross(rod.axis, rod.towards)
-    tissue = np.unique(np.concatenate([block.cells.ravel() for block in mesh.solid_blocks]))
+    tissue = mesh.solid_nodes
     points = mesh.points[tissue]
     level = np.abs((points - rod.centre) @ rod.towards) <= rod.radius
     both: list[IntArray] = []

@@ -22,7 +22,7 @@ from limbcli.fitting.stiffness_map import probe_length
 from limbcli.measurement.elastography import SweMap, check_map, check_mean, check_width, map_file, write_map
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, IntArray, LimbModel
-from limbcli.model.patient_frame import side_of
+from limbcli.model.patient_frame import patient_from_model, side_of
 from limbcli.reporting.figures.speed_maps import LevelMaps, speed_maps
 from limbcli.reporting.figures.wave_speed import PredictedSpeeds, SpeedReadings, wave_speed
 from limbcli.results import StageWriter
@@ -72,9 +72,8 @@ def write_speeds(
         LevelMaps(int(levels.rows[k]), float(levels.force[k]), one, other or None)
         for k, one, other in zip(found.levels, found.maps, found.measured, strict=True)
     ]
-    rotation = fitted.info.get("patient_from_model")
     # the side of the patient to which the image's lateral axis, x of the model, points
-    toward = None if rotation is None else side_of(np.array(rotation, dtype=float).reshape(4, 4)[:3, 0])
+    toward = side_of(patient_from_model(fitted)[:3, 0]) if "patient_from_model" in fitted.info else None
     picture = speed_maps(shown, toward=toward)
     save_figure(picture, writer.file("swe_maps_picture", "swe-maps.png"))
     _report(found, levels, writer)

@@ -15,7 +15,7 @@ from limbcli.fitting.exports import parameter_rows, write_exports
 from limbcli.fitting.joint_picture import draw_profiles
 from limbcli.fitting.joint_result import elements_of
 from limbcli.fitting.laws import LOCKING
-from limbcli.fitting.table import NAMES, Identified, c_share, counted_deviation, step_agreement, step_table
+from limbcli.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import ORDER, speed_agreement, tissue_agreement
 from limbcli.inference.geometry_uncertainty import at_depths, ends
@@ -132,10 +132,10 @@ def draw_fit(found: Identified, site: Site, writer: StageWriter) -> None:
         SimulatedCurve(key, label, depths, found.sample(theta, depths).values)
         for key, label, theta in zip(("start", MOONEY_RIVLIN, OGDEN), labels, thetas, strict=True)
     ]
-    loaded, last = found.data.loaded, found.steps[-1]
+    last = found.steps[-1]
     measured = MeasuredCurve(
         found.data.depth, found.data.force, site.noise.depth, site.noise.force,
-        counted=(found.data.depth[loaded], counted_deviation(found, last)),
+        counted=(found.data.loaded_depth, counted_deviation(found, last)),
     )  # fmt: skip
     save_figure(force_depth(measured, curves), writer.file("picture", "fit.png"))
     if found.intervals:
@@ -151,11 +151,10 @@ def summarise(found: Identified, last: Mapping[str, Any], writer: StageWriter) -
     writer.data["misfit"] = {
         "poor": bool(poor), "noise_rms_n": met.noise_rms or 0.0, "times_noise": met.times_noise, "words": poor
     }  # fmt: skip
-    loaded = found.data.loaded
     writer.data["agreement"] = {
         "state": met.state,
         "force": {
-            **vars(met), "depths_mm": found.data.depth[loaded],
+            **vars(met), "depths_mm": found.data.loaded_depth,
             "counted_noise_n": counted_deviation(found, found.steps[-1]),
         },
     }  # fmt: skip
@@ -248,7 +247,7 @@ def write_tissue_force(found: Identified, contact_penalty: float, writer: StageW
     solved = [each for each in found.curve.solved if each[1].has((0, 1))]
     if not noise.any() or not solved:
         return
-    depths = found.data.depth[found.data.loaded]
+    depths = found.data.loaded_depth
     errors = [np.full(len(depths), found.gain_of(step))]
     if found.modes is not None:
         errors += list(at_depths(found.modes, found.knots, depths).T)
@@ -264,7 +263,7 @@ def write_tissue_force(found: Identified, contact_penalty: float, writer: StageW
         "fitted_n": sensitivities(found, step.theta).values,
         "noise_n": np.sqrt(scale) * noise,
         "model_errors_of_ln": np.array(errors),
-        "c_share": c_share(found),
+        "c_share": found.stiffness.share_at_levels(found),
         "contact_penalty": contact_penalty,
         "simulated": {
             "f_kappa": [float(theta[0]) for theta, _ in solved],

@@ -88,17 +88,10 @@ class StateCurve:
             (name, f"F0.{way}"): self._direction(theta, way) for way in self.ways for name in self._stretched
         }
         model = self.in_state(self._model, theta, c=self.c)
-        try:
-            result = self._session.solve(
-                self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
-                records=True, field_gradients=(_NODES,),
-            )  # fmt: skip
-        except ArithmeticError as error:
-            raise SolveError(
-                f"the law overflows at {np.array2string(theta, precision=4)}",
-                where=f"reference solver, law {self.law.name}, states",
-                fix="check the depths and stretches of the states, or choose another law",
-            ) from error
+        result = self._session.solve(
+            self._eased(model), wrt=[*((TISSUE, name) for name in searched), *pulled], weights=pulled,
+            records=True, field_gradients=(_NODES,),
+        )  # fmt: skip
         points = result.must_points
         rows = result.rows
         nodes = result.simulation.nodes[_NODES]

@@ -98,8 +98,8 @@ def tissue_map(model: LimbModel, site: Site, *, row: int = 0) -> TissueMap:
 def probe_length(model: LimbModel) -> float:
     """Length of the probe's face along x, mm; 0 if the model has no probe."""
     blocks = next((each.blocks for each in model.bodies if each.name == PROBE), ())
-    nodes = [model.mesh.block(name).cells.ravel() for name in blocks]
-    return float(np.ptp(model.mesh.points[np.concatenate(nodes), 0])) if nodes else 0.0
+    nodes = model.mesh.nodes_of(blocks)
+    return float(np.ptp(model.mesh.points[nodes, 0])) if len(nodes) else 0.0
 
 
 def _level_0(site: Site, row: int) -> SweMap:

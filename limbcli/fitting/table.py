@@ -10,7 +10,7 @@ import numpy as np
 
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import FitAgreement, force_agreement
-from limbcli.inference.geometry_uncertainty import at_depths, ends, shifts
+from limbcli.inference.geometry_uncertainty import ends, shifts
 from limbcli.inference.identifiability import (
     NoProfile,
     Verdict,
@@ -104,7 +104,7 @@ def total_covariance(found: Identified, step: FittedStep) -> Array:
     free = inside(step)
     columns = answer.slopes[:, free]
     sigma_c = found.stiffness.log_deviation
-    by_c = answer.values * c_share(found)
+    by_c = answer.values * found.stiffness.share_at_levels(found)
     covariance = np.full((3, 3), np.nan)
     covariance[0, 0] = sigma_c**2
     if not free:
@@ -138,15 +138,9 @@ def _noise_scale(found: Identified, step: FittedStep, columns: Array, variance: 
     return max(1.0, float(chi_square / max(np.sum(expected / variance), _LEAST_EXPECTED)))
 
 
-def c_share(found: Identified) -> Array:
-    """d ln force / d ln c (n,) at the loaded levels: 1 if the model has no layers of fixed stiffness."""
-    depth, share = found.data.depth[found.data.loaded], found.stiffness.share
-    return np.ones(len(depth)) if share is None else at_depths(share[None], found.knots, depth)[:, 0]
-
-
 def step_agreement(found: Identified, step: FittedStep) -> FitAgreement:
     """FitAgreement of a step's curve with the measured forces, by the noise that the fit counted."""
-    order = np.argsort(found.data.depth[found.data.loaded], kind="stable")
+    order = np.argsort(found.data.loaded_depth, kind="stable")
     residual = step.fit.residual[found.data.loaded][order]
     intervals = found.intervals[found.place(step)] if found.intervals else None
     return force_agreement(

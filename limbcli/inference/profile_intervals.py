@@ -42,6 +42,12 @@ class Stiffness:
     gain_deviation: float = 0.0
     share: Array | None = None
 
+    def share_at_levels(self, match: CurveMatch) -> Array:
+        """d ln force / d ln c (n,) at the loaded levels."""
+        if self.share is None:
+            return np.ones(len(match.data.loaded_depth))
+        return at_depths(self.share[None], match.knots, match.data.loaded_depth)[:, 0]
+
     @property
     def force_deviation(self) -> float:
         """Standard deviation of ln force due to c and the mesh, where all forces are proportional to c."""
@@ -88,14 +94,11 @@ class _ForceProblem(Likelihood):
         shape_modes: Array | None = None,
     ):  # fmt: skip
         curve, knots, data = match.curve, match.knots, match.data
-        depth, force = data.depth[data.loaded], data.force[data.loaded]
+        depth, force = data.loaded_depth, data.force[data.loaded]
         covariance = np.diag(match.variance(fitted))
         if shape_modes is not None and len(shape_modes):
             moved = match.moved(fitted, shape_modes)
             covariance = covariance + moved @ moved.T
-        share = np.ones(len(depth))
-        if stiffness.share is not None:
-            share = at_depths(stiffness.share[None], knots, depth)[:, 0]
         shape = [p.started_at(float(t)).in_logs() for p, t in zip(search_parameters(), fitted, strict=True)]
         (c, _), *others = nuisances = stiffness.nuisances()
         parameters = [c, *(shape[k] for k in free), *(each for each, _ in others)]
@@ -105,6 +108,7 @@ class _ForceProblem(Likelihood):
             len(parameters), c0=stiffness.c, shape=(), gain=last if others else None,
             offset=np.where(factors.any(axis=1), 0.0, np.log(fitted)), factors=factors,
         )  # fmt: skip
+        share = stiffness.share_at_levels(match)
         block = ForceBlock(Emulator(curve), place, knots, depth, force, covariance, share)
         target = curve(fitted).values
         visited = sorted(curve.solved, key=lambda each: float(np.sum((each[1].values - target) ** 2)))

@@ -54,6 +54,11 @@ class ForceDepth:
         """(n,) bool: the levels past first touch, the only ones that carry information."""
         return self.depth > 0.0
 
+    @property
+    def loaded_depth(self) -> Array:
+        """Depths (n_loaded,) in mm of these levels."""
+        return self.depth[self.loaded]
+
 
 @dataclass(frozen=True, eq=False)
 class CurveMatch:
@@ -74,14 +79,14 @@ class CurveMatch:
     def variance(self, theta: Array) -> Array:
         """Variance (n,), N^2, of the force residuals at the loaded levels."""
         data = self.data
-        slopes = self.sample(theta, data.depth[data.loaded]).slopes
+        slopes = self.sample(theta, data.loaded_depth).slopes
         return force_variance(
             slopes, force_deviation=data.force_deviation, depth_deviation=data.depth_deviation
         )
 
     def moved(self, theta: Array, modes: Array) -> Array:
         """Change of force (n, n_modes), N, at the loaded levels by changes of ln force (n_modes, n_knots)."""
-        depth = self.data.depth[self.data.loaded]
+        depth = self.data.loaded_depth
         return self.sample(theta, depth).values[:, None] * at_depths(modes, self.knots, depth)
 
 
@@ -172,7 +177,6 @@ def _guide(
 
 def sensitivities(match: CurveMatch, theta: Array) -> Prediction:
     """Force at the loaded levels and its derivative with respect to ln f_kappa and ln m."""
-    depths = match.data.depth[match.data.loaded]
-    predict = sampled(match.curve, match.knots, depths, free=(F_KAPPA, M), fixed=theta)
+    predict = sampled(match.curve, match.knots, match.data.loaded_depth, free=(F_KAPPA, M), fixed=theta)
     answer = predict(theta)
     return Prediction(answer.values, answer.slopes * theta)

@@ -109,7 +109,7 @@ def _completed(nodes: IntArray, facets: IntArray) -> IntArray:
 
 def _with_records(model: LimbModel) -> LimbModel:
     """Make node records list all tissue nodes again; cell records are unchanged."""
-    nodes = np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
+    nodes = model.mesh.solid_nodes
     records = tuple(
         replace(each, items=nodes) if each.kind == "node" and each.items is not None else each
         for each in model.records

@@ -13,7 +13,7 @@ indentation depth is -z of the probe face.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -98,6 +98,16 @@ class Mesh:
     @property
     def solid_blocks(self) -> tuple[Block, ...]:
         return tuple(each for each in self.blocks if each.is_solid)
+
+    def nodes_of(self, blocks: Iterable[str]) -> IntArray:
+        """Nodes (n,) of the cells of these blocks, in increasing order."""
+        cells = [self.block(name).cells.ravel() for name in blocks]
+        return np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *cells]))
+
+    @property
+    def solid_nodes(self) -> IntArray:
+        """Nodes (n,) of all solid cells, in increasing order."""
+        return self.nodes_of(each.name for each in self.solid_blocks)
 
 
 def _id(ids: IntArray | None, number: int) -> int:

@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from limbcli.model import Array
+from limbcli.model import Array, LimbModel
 
 HEAD = np.array([0.0, 0.0, 1.0])
 # sides of the patient towards - and + of each LPS axis
 _SIDES = (("right", "left"), ("anterior", "posterior"), ("foot", "head"))
 _ALSO = 0.5  # component (as a fraction of the length) above which a second side is named: beyond 30 degrees
+
+
+def patient_from_model(model: LimbModel) -> Array:
+    """Transformation (4, 4) from the site's frame to patient LPS; the identity if the model has none."""
+    entries = model.info.get("patient_from_model")
+    return np.eye(4) if entries is None else np.array(entries, dtype=float).reshape(4, 4)
 
 
 def toward_head(axis: Array) -> Array:

@@ -17,7 +17,7 @@ from limbcli.meshing.frame import probe_axis
 from limbcli.meshing.mesh_picture import fibre_picture
 from limbcli.meshing.probe import ProbeShape
 from limbcli.model import FIBRES, Array, ElementMap, LimbModel
-from limbcli.model.patient_frame import HEAD, side_of
+from limbcli.model.patient_frame import HEAD, patient_from_model, side_of
 from limbcli.results import StageWriter
 
 _LEAST_COVERED = 0.5  # least share of the tissue's elements near the probe that a fibre map must cover
@@ -118,12 +118,6 @@ def _of_map(case: Case, site: Site, to_patient: Array, middles: Array) -> SiteFi
         "agreement_of_neighbours": float(sample.agreement[known].mean()), "spread_near_probe_deg": spread,
     }  # fmt: skip
     return SiteFibres(axes, f"diffusion MRI ({path.name})", None, facts)
-
-
-def patient_from_model(model: LimbModel) -> Array:
-    """Transformation (4, 4) from the site's frame to patient LPS; the identity if the model has none."""
-    entries = model.info.get("patient_from_model")
-    return np.eye(4) if entries is None else np.array(entries, dtype=float).reshape(4, 4)
 
 
 def write_fibres(

@@ -59,7 +59,7 @@ def indentation_model(model: LimbModel, plan: Schedule, *, c: float, f_kappa: fl
         steps=(robust_step(plan, element),),
         records=(
             LogRecord("rigid_body", RIGID_FIELDS, "rigid_body.csv", PROBE),
-            LogRecord("node", NODE_FIELDS, "nodes.csv", tissue_nodes(model)),
+            LogRecord("node", NODE_FIELDS, "nodes.csv", model.mesh.solid_nodes),
             LogRecord("element", ELEMENT_FIELDS, "elements.csv", window_cells(model, plan.depths[-1])),
         ),
     )
@@ -138,7 +138,7 @@ def touching_points(model: LimbModel) -> int:
 def _flat(model: LimbModel) -> Array:
     """Nodes (n, 3) of the flat of the probe's face."""
     body = next(each for each in model.bodies if each.name == PROBE)
-    probe = model.mesh.points[_body_nodes(model, body.blocks)]
+    probe = model.mesh.points[model.mesh.nodes_of(body.blocks)]
     return np.asarray(probe[probe[:, 2] < probe[:, 2].min() + _FLAT])
 
 
@@ -158,24 +158,15 @@ def _under_flat(model: LimbModel) -> tuple[IntArray, Array, NDArray[np.bool_]]:
     return corners, points, under.all(axis=1)
 
 
-def _body_nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
-    return np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in blocks]))
-
-
 def start_at(model: LimbModel, depth: float) -> LimbModel:
     """The model with its probe moved along z so that the face starts `depth` mm below first touch."""
     body = next(each for each in model.bodies if each.name == PROBE)
     x, y, z = body.center_of_mass
     points: Array = model.mesh.points.copy()
-    points[_body_nodes(model, body.blocks), 2] += -depth - z
+    points[model.mesh.nodes_of(body.blocks), 2] += -depth - z
     moved = replace(body, center_of_mass=(x, y, -depth))
     bodies = tuple(moved if each.name == PROBE else each for each in model.bodies)
     return replace(model, mesh=replace(model.mesh, points=points), bodies=bodies)
-
-
-def tissue_nodes(model: LimbModel) -> IntArray:
-    """Indices of all nodes of solid cells, sorted."""
-    return np.unique(np.concatenate([block.cells.ravel() for block in model.mesh.solid_blocks]))
 
 
 def window_cells(model: LimbModel, deepest: float) -> IntArray:

@@ -171,7 +171,7 @@ def prepare(
     warm_up(progress)
     refuse_without_stiffness(model)
     from limbcli.fem.analysis import Analysis
-    from limbcli.fem.equilibrium.newton import Settings
+    from limbcli.fem.equilibrium.settings import Settings
 
     if not model.contacts:
         tolerance = min(tolerance, _SMOOTH_TOLERANCE)

@@ -400,7 +400,6 @@ def _contact_body(model: LimbModel) -> str:
         surface = model.mesh.surfaces[contact.secondary]
         nodes = np.concatenate([facets.ravel() for facets in surface.facets.values()])
         for body in model.bodies:
-            blocks = [model.mesh.block(name).cells.ravel() for name in body.blocks]
-            if blocks and np.isin(nodes, np.concatenate(blocks)).all():
+            if np.isin(nodes, model.mesh.nodes_of(body.blocks)).all():
                 return body.name
     return names[0]

@@ -13,7 +13,7 @@ from limbcli.errors import SolveError
 from limbcli.model import Array, Curved, ElementMap, LimbModel, Material, Value
 
 if TYPE_CHECKING:
-    from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
+    from limbcli.fem.derivatives.parameters import LawParameter, Prestrain
 
 Parameter = tuple[str, str]
 _GRADIENT = "F0"
@@ -39,7 +39,7 @@ def check_materials(wrt: Sequence[Parameter], model: LimbModel) -> None:
             )
 
 
-def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> LawParameter | Tied | Prestrain:
+def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> LawParameter | Prestrain:
     """The differentiable parameter that a key names.
 
     For a prestrained material, "ramp" is the ramp of its prestrain, and "F0", with any suffix, its prestrain
@@ -47,7 +47,7 @@ def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> La
 
     Raises SolveError if "F0" is requested without nine weights.
     """
-    from limbcli.fem.derivatives.parameters import LawParameter, Prestrain, Tied
+    from limbcli.fem.derivatives.parameters import LawParameter, Prestrain
 
     material, name = key
     if model.materials[material].law == "prestrain":
@@ -61,10 +61,7 @@ def law_parameter(key: Parameter, weights: Array | None, model: LimbModel) -> La
                     fix="give `weights` of nine numbers",
                 )
             return Prestrain(material, np.reshape(weights, (3, 3)))
-    parts = tied_parts(name)
-    if len(parts) == 1:
-        return LawParameter(material, name, weights=weights)
-    return Tied(tuple((LawParameter(material, part, weights=weights), rate) for part, rate in parts))
+    return LawParameter(material, dict(tied_parts(name)), weights)
 
 
 def parameter_values(

@@ -13,7 +13,7 @@ from limbcli.solvers.solver import Table
 
 if TYPE_CHECKING:
     from limbcli.fem.analysis import Analysis, Snapshot
-    from limbcli.fem.derivatives.sensitivity import Parameter as Differentiable
+    from limbcli.fem.derivatives.parameters import Parameter as Differentiable
 
 Rows = list[tuple[IntArray, Array]]
 

@@ -149,7 +149,7 @@ def _overlap(model: LimbModel, pair: Pair, body: RigidBody, at: BodyState) -> fl
     from limbcli.fem.contacts.contact_points import GAP, TRACTION
 
     x = np.array(model.mesh.points, dtype=float)
-    own = np.unique(np.concatenate([model.mesh.block(name).cells.ravel() for name in body.blocks]))
+    own = model.mesh.nodes_of(body.blocks)
     x[own] = at.place(x[own], np.array(body.center_of_mass, dtype=float))
     found = [each[each[..., TRACTION] > 0, GAP] for each in pair.search(x)[0]]
     return float(np.concatenate(found).max(initial=0.0))
@@ -161,5 +161,4 @@ def _nodes(model: LimbModel, surface: str) -> IntArray:
 
 
 def _is_part(nodes: IntArray, body: RigidBody, model: LimbModel) -> bool:
-    own = [model.mesh.block(name).cells.ravel() for name in body.blocks]
-    return bool(len(nodes)) and bool(own) and bool(np.isin(nodes, np.concatenate(own)).all())
+    return bool(len(nodes)) and bool(np.isin(nodes, model.mesh.nodes_of(body.blocks)).all())

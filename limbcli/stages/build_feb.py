@@ -39,7 +39,6 @@ from limbcli.site_model.indentation_model import (
     facet_gap,
     indentation_model,
     starting_depth,
-    tissue_nodes,
     touching_points,
     with_penalty,
 )
@@ -199,7 +198,7 @@ def _report(writer: StageWriter, model: LimbModel, plan: Schedule, levels: Level
         density_kg_per_m3=site.density_kg_per_m3,
         element=block.kind,
         contact_penalty=model.contacts[0].penalty,
-        n_nodes=len(tissue_nodes(model)),
+        n_nodes=len(model.mesh.solid_nodes),
         n_elements=n_cells,
         start_depth_mm=plan.start,
         contact_points_touching_at_start=touching_points(model),

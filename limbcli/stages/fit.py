@@ -134,9 +134,8 @@ def _fit_site(
         changed: list[ChangedForces] = []
         if options.boundary_check:
             changed = changed_forces(
-                fitted, forces[checked], lambda each: again.forces(each.of(fitted), "boundary check"),
-                progress=progress,
-            )  # fmt: skip
+                fitted, forces[checked], lambda each: again.forces(each.of(fitted)), progress=progress
+            )
         modes = boundary_modes(changed, knots[checked], knots)
         if uncertainty is not None:
             modes = np.vstack([uncertainty.modes, modes])
@@ -186,8 +185,7 @@ def _write_checks(
     if options.contact_check:
         write_contact_check(
             fitted.contacts[0].penalty, found.curve(theta).values[again.rows], depths,
-            lambda penalty: again.forces(with_penalty(fitted, penalty), "contact check"), writer,
-            progress=again.progress,
+            lambda penalty: again.forces(with_penalty(fitted, penalty)), writer, progress=again.progress,
         )  # fmt: skip
     if options.boundary_check:
         free = {k: name for k, name in enumerate(NAMES) if writer.data["flags"][name] == Flag.IDENTIFIED}

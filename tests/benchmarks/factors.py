@@ -46,8 +46,7 @@ class Adapter:
 
     def __init__(self, indptr: IntArray, indices: IntArray, **options: Any):
         self.n, self._indptr, self._indices = len(indptr) - 1, indptr, indices
-        self.n_factorisations = self.n_solves = 0
-        self.seconds = 0.0
+        self.n_factorisations = 0
         self.analyse(self._matrix(np.ones(len(indices))))
 
     def _matrix(self, values: Array) -> sparse.csr_matrix:

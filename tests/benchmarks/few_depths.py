@@ -15,7 +15,7 @@ import numpy as np
 
 from limbcli.case import Case
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, USUAL_M
-from limbcli.diagnosis.prepare import Prepared, WorkingMesh
+from limbcli.diagnosis.prepare import Preparation, WorkingMesh
 from limbcli.effects import EFFECTS
 from limbcli.effects.ingredients import touches_loads
 from limbcli.errors import LimbError
@@ -24,7 +24,7 @@ from limbcli.progress import SILENT
 
 def main(folder: Path, out: Path) -> None:
     case = Case.open(folder)
-    made = Prepared(case, case.sites[0], out, WorkingMesh(), SILENT).simulated()
+    made = Preparation(case, case.sites[0], out, WorkingMesh(), SILENT).simulated()
     made.solver.memo = type(made.solver.memo)(None)  # nothing kept, nothing found
     for m in FIRST_M:
         made.curves(m)

@@ -33,7 +33,7 @@ from limbcli.config import one_blas_thread
 from limbcli.diagnosis.explanations.conclusions import Diagnosis
 from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.diagnosis.explanations.search import Search
-from limbcli.diagnosis.explanations.verdict import _Run
+from limbcli.diagnosis.explanations.verdict import Conclusion
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.prepare import WorkingMesh, prepare
 from limbcli.effects import EFFECTS
@@ -58,8 +58,8 @@ def diagnosed(case: Case, out: Path) -> tuple[Diagnosis, Search]:
     try:
         model = SiteForwardModel([each.curves for each in prepared])
         model.settle_noise()
-        run = _Run(model, 2, 7, False, SILENT)
-        return run.run(), run.search
+        found = Conclusion.of(model, max_effects=2, seed=7, propose=False, progress=SILENT)
+        return found.diagnosis(), found.search
     finally:
         for each in prepared:
             each.simulations.close()

@@ -43,7 +43,7 @@ from limbcli.diagnosis.explanations.forward_model import Fitted
 from limbcli.diagnosis.explanations.noise import LinearFit
 from limbcli.diagnosis.forward_model.site_forward_model import SiteForwardModel
 from limbcli.diagnosis.forward_model.surrogate import AtPoints, SiteCurves
-from limbcli.diagnosis.prepare import Prepared, WorkingMesh, prepare
+from limbcli.diagnosis.prepare import Preparation, Prepared, WorkingMesh, prepare
 from limbcli.effects import EFFECTS
 from limbcli.effects.curves import force_at
 from limbcli.effects.effect import Effect, Theta, point_name
@@ -325,7 +325,7 @@ def in_pixels(case: Case, prepared: Prepared, fitted: Fitted, out: Path) -> Site
         for name, low, high in (("lateral", usual.left, usual.right), ("depth", usual.top, usual.bottom))
     )
     options = replace(WorkingMesh(), size=prepared.size)
-    preparation = Prepared(case, prepared.site, out, options, SILENT)
+    preparation = Preparation(case, prepared.site, out, options, SILENT)
     preparation.windows = PixelWindows(
         usual.left, usual.right, usual.top, usual.bottom, across, down, usual.smoothing, usual.elevation,
         whole_is_known=True, filtered=round(3 * across / usual.across),

@@ -20,11 +20,7 @@ PAIRS = list(itertools.combinations(NAMES, 2))
 
 
 def search(case: toy.Toy, most: int = 2) -> Search:
-    made = Search(
-        case, PriorOdds(len(NAMES), most_effects=most), {each.name: each for each in case.candidates}, False
-    )
-    made.fitted(case.fit((), {}))
-    made.settled.add(())
+    made = Search(case, case.fit((), {}), False, most)
     made.linearise(())
     return made
 

@@ -15,7 +15,7 @@ from limbcli.feb.records import read_records
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.contacts.contact import make_pairs
 from limbcli.fem.contacts.contact_points import FACET, GAP, TRACTION
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.rigid import BodyState, rotation_matrix, spring_forces, whole_rotation
 from limbcli.fem.motion.state import State

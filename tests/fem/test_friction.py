@@ -15,8 +15,10 @@ from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts import friction_kernels
 from limbcli.fem.contacts.contact_points import GAP, TRACTION
 from limbcli.fem.contacts.contact_state import ContactState
-from limbcli.fem.derivatives.sensitivity import LawParameter, sensitivities
-from limbcli.fem.equilibrium.newton import LoadStep, Newton, Settings
+from limbcli.fem.derivatives.parameters import LawParameter
+from limbcli.fem.derivatives.sensitivity import sensitivities
+from limbcli.fem.equilibrium.newton import Newton
+from limbcli.fem.equilibrium.settings import LoadStep, Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.linear_solvers.krylov import gmres
 from limbcli.fem.motion.state import Forces, State
@@ -301,7 +303,7 @@ def test_derivatives_are_differenced_and_never_taken_as_exact() -> None:
     np.testing.assert_allclose(total, result.must_points.forces, rtol=2e-3)
     analysis, end = last(model)
     with pytest.raises(SolveError, match="friction"):
-        sensitivities(analysis.newton, end.state, end.forces, [LawParameter("tissue", "c1")])
+        sensitivities(analysis.newton, end.state, end.forces, [LawParameter("tissue", {"c1": 1.0})])
 
 
 def test_a_residual_that_stands_will_do_with_friction_alone() -> None:

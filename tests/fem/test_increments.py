@@ -14,7 +14,8 @@ from limbcli.fem.analysis import Analysis, RunEnd
 from limbcli.fem.equilibrium import relaxation
 from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath, Reached
 from limbcli.fem.equilibrium.load_stepping import LoadStepping
-from limbcli.fem.equilibrium.newton import Counts, LoadStep, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium.newton import Newton, NotConverged
+from limbcli.fem.equilibrium.settings import Counts, LoadStep, Settings
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import RoughState, State
 from limbcli.materials import ogden_type

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from small_models import block
 
-from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium.newton import Newton, NotConverged
+from limbcli.fem.equilibrium.settings import LoadStep, Settings
 from limbcli.fem.record_fields import gauss_fields
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type

@@ -11,7 +11,7 @@ from small_models import block, under_a_rigid_half
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis, Snapshot
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.motion.kinematics import Kinematics
 from limbcli.fem.motion.rigid import AT_REST, Body, spring_forces
 from limbcli.model import Support

@@ -11,7 +11,7 @@ import pytest
 from small_models import block
 
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.equilibrium.solve_times import listed_times, step_times
 from limbcli.model import Curve, Step
 

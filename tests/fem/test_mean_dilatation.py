@@ -13,7 +13,7 @@ from limbcli.errors import CaseError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.record_fields import cell_fields
 from limbcli.model import Domain, LimbModel, Material, Step, Support
 from limbcli.solvers.session import ReferenceSession

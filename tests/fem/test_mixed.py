@@ -10,7 +10,7 @@ from small_models import block, punch
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System

@@ -17,7 +17,7 @@ import pytest
 from small_models import punch
 
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.materials import ogden_type
 from limbcli.materials.stress import cauchy_stress
 from limbcli.model import Array, Material

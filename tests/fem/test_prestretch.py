@@ -11,7 +11,7 @@ from small_models import block
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.record_fields import cell_fields
 from limbcli.materials import ogden_type
 from limbcli.model import LimbModel, Material, NodeMap, Support

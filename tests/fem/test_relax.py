@@ -11,8 +11,9 @@ from small_models import block, punch
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.equilibrium import load_stepping, newton, relaxation
-from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged, Settings
+from limbcli.fem.equilibrium.newton import Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
+from limbcli.fem.equilibrium.settings import LoadStep, Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type

@@ -11,7 +11,7 @@ from small_models import punch
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.contacts.contact_points import GAP, TRACTION, WEIGHT
 from limbcli.fem.contacts.pairs import rim_widths
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.system import System
 from limbcli.model import LimbModel

@@ -19,7 +19,7 @@ from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts.contact_points import NORMAL, TRACTION
 from limbcli.fem.contacts.friction_kernels import PUSH, STICKS
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.linear_solvers.direct import make
 from limbcli.fem.linear_solvers.growing_pattern import GrowingPatternSolver

@@ -16,7 +16,7 @@ from limbcli.feb.records import read_records
 from limbcli.fem.analysis import Analysis
 from limbcli.fem.elements.element import shape
 from limbcli.fem.elements.quadrature import rule
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.equilibrium.tangent import assemble
 from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import cell_fields, gauss_fields

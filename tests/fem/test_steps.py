@@ -10,7 +10,7 @@ from small_models import block, punch
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.motion.kinematics import Kinematics
 from limbcli.fem.motion.rigid import AT_REST
 from limbcli.fem.motion.state import State

@@ -10,7 +10,7 @@ from small_models import punch
 
 from limbcli.errors import SolveError
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.supported import check_supported, on_disk, refuse_without_stiffness
 from limbcli.model import Curved, ElementMap, Step
 from limbcli.model.bodies import Drive

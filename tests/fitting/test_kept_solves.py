@@ -61,7 +61,7 @@ def test_a_curve_and_a_check_are_not_solved_twice(tmp_path, monkeypatch):
         levels = curve.levels_at(theta)
     fitted = with_tissue(model, c=0.005, f_kappa=50.0, m=3.0)
     stiffer = with_penalty(fitted, 80.0)
-    harder = CheckSolver(levels=levels, kept=kept).forces(stiffer, "contact check")
+    harder = CheckSolver(levels=levels, kept=kept).forces(stiffer)
 
     def refuse(*_args, **_options):
         raise AssertionError("solved again")
@@ -76,4 +76,4 @@ def test_a_curve_and_a_check_are_not_solved_twice(tmp_path, monkeypatch):
         assert list(curve.levels_at(theta).states) == list(levels.states)
         with pytest.raises(AssertionError, match="solved again"):
             curve(np.array([60.0, 3.0]), (0, 1))
-    assert CheckSolver(kept=kept).forces(stiffer, "contact check").tolist() == harder.tolist()
+    assert CheckSolver(kept=kept).forces(stiffer).tolist() == harder.tolist()

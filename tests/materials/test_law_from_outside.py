@@ -15,7 +15,7 @@ from limbcli.errors import CaseError, SolveError
 from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.materials import LAWS, compile_material, ogden_type, register
 from limbcli.materials.stress import second_piola_kirchhoff
 from limbcli.model import LimbModel, Material

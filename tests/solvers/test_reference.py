@@ -16,7 +16,7 @@ from limbcli.feb.log import read_log
 from limbcli.feb.read import read_feb
 from limbcli.feb.records import read_records
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.materials import ogden_type
 from limbcli.model import Material
 from limbcli.progress import SILENT, Progress

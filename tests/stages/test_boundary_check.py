@@ -61,9 +61,7 @@ def writer() -> SimpleNamespace:
 def test_a_freed_cut_lowers_the_force_and_a_boundary_that_is_not_there_is_left_out():
     model, written = cut_block(), writer()
     forces = solved(model)
-    changed = changed_forces(
-        model, forces, lambda each: CheckSolver().forces(each.of(model), "boundary check")
-    )
+    changed = changed_forces(model, forces, lambda each: CheckSolver().forces(each.of(model)))
     write_boundary_check(changed, DEPTHS, written)
     found = written.data["boundary_check"]
     change = found["cut_free"]["force_change_fraction"]
@@ -83,7 +81,7 @@ def test_levels_solved_before_lead_to_the_same_forces():
     sides = replace(model, supports=CUT_FREE.of(model).supports, mesh=CUT_FREE.of(model).mesh)
     with ReferenceSession(sides, threads=1) as session:
         session.solve()
-        led = CheckSolver(like=session).forces(model, "boundary check")
+        led = CheckSolver(like=session).forces(model)
         levels = session.kept_levels
     assert led == pytest.approx(solved(model), rel=1e-3)
     seen: list[int] = []
@@ -92,9 +90,9 @@ def test_levels_solved_before_lead_to_the_same_forces():
         if kind == "newton" and facts["iteration"]:
             seen.append(facts["step"])
 
-    from_levels = CheckSolver(levels=levels).forces(model, "boundary check")
+    from_levels = CheckSolver(levels=levels).forces(model)
     assert from_levels == pytest.approx(led, rel=1e-3)
-    CheckSolver(levels=levels, progress=Progress(listen)).forces(sides, "boundary check")
+    CheckSolver(levels=levels, progress=Progress(listen)).forces(sides)
     assert not seen, "the levels are used: without a change they are in equilibrium"
 
 
@@ -107,7 +105,7 @@ def test_of_many_levels_some_are_solved():
         if kind == "newton":
             seen.add(facts["n_steps"])
 
-    found = CheckSolver(rows=rows, progress=Progress(listen)).forces(free, "boundary check")
+    found = CheckSolver(rows=rows, progress=Progress(listen)).forces(free)
     assert seen == {3}
     assert found == pytest.approx(solved(free)[rows], rel=1e-3)
 

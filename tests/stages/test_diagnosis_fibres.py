@@ -11,7 +11,7 @@ import pytest
 from limbcli.diagnosis.curves.curve_plan import Solving
 from limbcli.diagnosis.curves.site_simulations import SiteSimulations
 from limbcli.diagnosis.data.windows import Windows
-from limbcli.diagnosis.prepare import Prepared, WorkingMesh
+from limbcli.diagnosis.prepare import Preparation, WorkingMesh
 from limbcli.effects import effect
 from limbcli.effects.tissue import TISSUE
 from limbcli.model import ElementMap
@@ -49,7 +49,7 @@ def test_the_working_model_has_the_direction_of_the_map_in_every_cell(made):
         "force_n,depth_mm,swe_mean_m_per_s\n0,0,1.7\n1,1,1.8\n2,2,1.9\n3,3,2\n"
     )
     case = case_with(folder, imaging='fibres = "v1.nii.gz"\n')
-    preparation = Prepared(case, case.sites[0], out, WorkingMesh(size=6.0), SILENT)
+    preparation = Preparation(case, case.sites[0], out, WorkingMesh(size=6.0), SILENT)
     simulations = preparation.simulated()
     simulations.close()
     model, block = simulations.model, simulations.model.mesh.block("tissue")

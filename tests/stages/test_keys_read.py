@@ -12,7 +12,7 @@ import pytest
 
 from limbcli.case import Case
 from limbcli.case.noting import noting, unnoted, with_values
-from limbcli.diagnosis.prepare import Prepared
+from limbcli.diagnosis.prepare import Preparation
 from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, read_result, sealed
 from limbcli.stages import diagnose as diagnose_module
@@ -68,7 +68,7 @@ def prepared_only(patch: pytest.MonkeyPatch) -> None:
     """A diagnosis that reads its inputs and makes its working mesh, without the search for effects."""
 
     def prepare(case: Case, site: Any, *_: Any, out: Path, mesh: Any, progress: Any, **__: Any) -> Any:
-        read = Prepared(case, site, out, mesh, progress)
+        read = Preparation(case, site, out, mesh, progress)
         read._working_mesh()
         curves = SimpleNamespace(changes=SimpleNamespace(not_simulated={}), site=None)
         return SimpleNamespace(

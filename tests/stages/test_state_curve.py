@@ -12,7 +12,7 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.settings import schedule
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis
-from limbcli.fem.equilibrium.newton import Settings
+from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fitting.laws import LAWS
 from limbcli.fitting.state_curve import StateCurve
 from limbcli.fitting.state_plan import plan_of

@@ -29,7 +29,7 @@ def made(tmp_path, monkeypatch):
     monkeypatch.setattr(prepare, "site_model", model_of)
 
     def make(size: float) -> int:
-        mine = prepare.Prepared.__new__(prepare.Prepared)
+        mine = prepare.Preparation.__new__(prepare.Preparation)
         mine.out, mine.work, mine.size = tmp_path, tmp_path / "work", size
         mine.site = SimpleNamespace(name="p1", long_axis="axial")
         probe = SimpleNamespace(length=53.0, width=11.0, edge_radius=2.0)

@@ -31,7 +31,7 @@ from limbcli.errors import SolveError
 from limbcli.feb.settings import schedule
 from limbcli.model import Array, LimbModel, LogRecord
 from limbcli.progress import SILENT, Progress
-from limbcli.site_model.indentation_model import indentation_model, starting_depth, tissue_nodes, with_penalty
+from limbcli.site_model.indentation_model import indentation_model, starting_depth, with_penalty
 from limbcli.site_model.layer_readings import LayerReadings
 from limbcli.solvers.integration_points import IntegrationPoints
 from limbcli.solvers.material_lines import FILE as OF_LINES
@@ -73,7 +73,7 @@ class SiteSimulations:
         self.density_kg_per_m3 = density_kg_per_m3
         records = [LogRecord("node", ("ux", "uy", "uz"), _FILE, self.nodes)]
         if lines is not None:  # of all tissue nodes, as effects may move the mesh under the beam
-            records.append(LogRecord("node", ("ux", "uy", "uz"), OF_LINES, tissue_nodes(model)))
+            records.append(LogRecord("node", ("ux", "uy", "uz"), OF_LINES, model.mesh.solid_nodes))
         model = with_penalty(model, solving.penalty or _CONTACT_STIFFER * model.contacts[0].penalty)
         self.c, self.windows, self.depths = c, windows, [float(each) for each in depths]
         self.model = replace(model, records=(*model.records[:1], *records))

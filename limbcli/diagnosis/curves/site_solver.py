@@ -24,7 +24,6 @@ from limbcli.effects.ingredients import (
     names_of,
     stiffness_fields,
 )
-from limbcli.errors import SolveError
 from limbcli.model import Array, LimbModel
 from limbcli.model.npz_file import model_hash
 from limbcli.progress import Progress
@@ -182,8 +181,6 @@ class SiteSolver:
                 result = session.solve(
                     model, records=True, stop=stop, start=begin, keep_levels=not ingredients
                 )
-        except ArithmeticError as error:
-            raise SolveError(f"the law overflows ({error})", where="diagnose", fix="none") from error
         except BudgetSpent as error:
             raise BudgetSpent(
                 "it requires several times the work of the model without it",

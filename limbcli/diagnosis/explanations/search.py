@@ -20,7 +20,6 @@ from limbcli.diagnosis.explanations.forward_model import (
     Data,
     Direction,
     Explanation,
-    Facts,
     Fitted,
     ForwardModel,
 )
@@ -125,15 +124,15 @@ def named(several: Sequence[Explained]) -> Explanation:
 class Search:
     """Explanations of one data set.
 
+    base : the fit without effects; relative : the noise level is estimated
     known : posteriors of what was fitted; settled : what needs no further fit or simulation
-    linear : evidence of one effect more, about the fits of some explanations; relative : the noise level is
-        estimated
+    linear : evidence of one effect more, about the fits of some explanations, that without effects first
     """
 
     forward_model: ForwardModel
-    odds: PriorOdds
-    facts: Mapping[str, Facts]
+    base: Fitted
     relative: bool
+    most_effects: int = 2
     progress: Progress = SILENT
     known: dict[Explanation, Posterior] = field(default_factory=dict)
     settled: set[Explanation] = field(default_factory=set)
@@ -141,9 +140,18 @@ class Search:
     linear: dict[Explanation, LinearEvidence] = field(default_factory=dict)
     not_evaluated: dict[str, str] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        self.facts = {each.name: each for each in self.forward_model.candidates}
+        self.fitted(self.base)
+        self.settled.add(())
+
     @property
     def data(self) -> Data:
         return self.forward_model.data
+
+    @property
+    def odds(self) -> PriorOdds:
+        return PriorOdds(len(self.linear[()].added), most_effects=self.most_effects)
 
     def run(self) -> list[Explained]:
         """All explanations, the most probable first."""
@@ -159,7 +167,7 @@ class Search:
                 if (name,) in self.known and (name,) not in self.linear
                 and containing((name,), found) > decisions.UNSETTLED
             ]  # fmt: skip
-            if not further or self.odds.most_effects < 2:
+            if not further or self.most_effects < 2:
                 break
             self.linearise(further[0])
         return self.explained()
@@ -215,7 +223,7 @@ class Search:
         for name in names:  # whose fit failed
             if (name,) not in ln_evidence:
                 ln_evidence[name,] = ln_evidence[()] + float(self.linear[()].ln_factor(name)[0])
-        if self.odds.most_effects > 1:
+        if self.most_effects > 1:
             for pair, value in self._of_pairs(names).items():
                 ln_evidence.setdefault(pair, value)
         found = [

@@ -38,7 +38,7 @@ from limbcli.diagnosis.explanations.residuals import (
     over_shared,
     roughness,
 )
-from limbcli.diagnosis.explanations.search import Explained, PriorOdds, Search, containing, credible, named
+from limbcli.diagnosis.explanations.search import Explained, Search, containing, credible, named
 from limbcli.errors import LimbError
 from limbcli.progress import SILENT, Progress
 
@@ -51,49 +51,52 @@ def diagnose(
 ) -> Diagnosis:  # fmt: skip
     """Diagnose one forward model. Deterministic for a given seed. Raises LimbError if the base model itself
     cannot be fitted."""
-    return _Run(forward_model, max_effects, seed, propose, progress).run()
+    return Conclusion.of(
+        forward_model, max_effects=max_effects, seed=seed, propose=propose, progress=progress
+    ).diagnosis()
 
 
-@dataclass(eq=False)
-class _Run:
-    forward_model: ForwardModel
-    max_effects: int
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Conclusion:
+    """What an ended search says.
+
+    several : the explanations, the most probable first; limit : probability of "nothing" from which the model
+        is adequate
+    determined : there are more data than parameters of the fit without effects
+    """
+
+    search: Search
+    several: Sequence[Explained]
+    limit: float
+    rough: Roughness | None
+    determined: bool
     seed: int
     propose: bool
-    progress: Progress
-    rough: Roughness | None = None
-    limit: float = 0.0
-    several: list[Explained] = field(default_factory=list)
-    checks: dict[Explanation, Check] = field(default_factory=dict)
+    _checks: dict[Explanation, Check] = field(default_factory=dict)
 
-    def run(self) -> Diagnosis:
-        model = self.forward_model
-        facts = {each.name: each for each in model.candidates}
-        base = model.fit((), {})
-        whiten = model.data.noise.whitener
-        state = base.whitened(model.data.y, whiten)
+    @staticmethod
+    def of(
+        forward_model: ForwardModel, *, max_effects: int, seed: int, propose: bool, progress: Progress
+    ) -> Conclusion:
+        data, base = forward_model.data, forward_model.fit((), {})
+        whiten = data.noise.whitener
+        state = base.whitened(data.y, whiten)
+        rough = roughness(state, whiten, series=data.all_series(), order=data.order)
+        contradicted = rough is not None and rough.p < decisions.ROUGH_P
+        search = Search(forward_model, base, data.noise.is_assumed or contradicted, max_effects, progress)
         if state.nu >= 1:
-            self.rough = roughness(state, whiten, series=model.data.all_series(), order=model.data.order)
-        assumed = model.data.noise.is_assumed
-        relative = assumed or (self.rough is not None and self.rough.p < decisions.ROUGH_P)
-        self.search = Search(model, PriorOdds(0), facts, relative, self.progress)
-        nothing = self.search.fitted(base)
-        self.search.settled.add(())
-        if state.nu < 1:
-            self.search.linear[()] = LinearEvidence(state.residual, {})
-            self.several = [Explained((), 1.0, nothing.ln_evidence, nothing)]
+            search.linearise(())
+        else:
+            search.linear[()] = LinearEvidence(state.residual, {})
+        limit = least_by_chance(search.linear[()], search.odds.ln_single, np.random.default_rng([seed, 1]))
+        return Conclusion(
+            search=search, several=search.run(), limit=limit, rough=rough, determined=state.nu >= 1,
+            seed=seed, propose=propose,
+        )  # fmt: skip
+
+    def diagnosis(self) -> Diagnosis:
+        if not self.determined:
             return self._finish("untestable", "there are no more data than fitted parameters", ())
-        self.search.linearise(())
-        linear = self.search.linear[()]
-        self.search.odds = PriorOdds(len(linear.added), most_effects=self.max_effects)
-        self.limit = least_by_chance(linear, self.search.odds.ln_single, self._rng(1))
-        self.several = self.search.run()
-        return self._concluded()
-
-    def _rng(self, stream: int) -> np.random.Generator:
-        return np.random.default_rng([self.seed, stream])
-
-    def _concluded(self) -> Diagnosis:
         best = self.several[0]
         relative = self.search.relative
         if best.posterior is not None and self._left_of(best).p < decisions.CHECKED and not relative:
@@ -105,7 +108,7 @@ class _Run:
                 return self._finish("adequate", "no effect is more probable than chance allows", ())
             why = (
                 "the noise is assumed: the fit cannot be judged in absolute terms"
-                if self.forward_model.data.noise.is_assumed
+                if self.search.data.noise.is_assumed
                 else "the data scatter more than their stated noise"
             )
             return self._finish("untestable", f"{why}, and no effect is more probable than chance allows", ())
@@ -163,24 +166,25 @@ class _Run:
 
     def _checked(self, found: Posterior) -> Check:
         key = found.fitted.explanation
-        if key not in self.checks:
+        if key not in self._checks:
             whiten = self.search.whitener(found)
-            state = found.fitted.whitened(self.forward_model.data.y, whiten, as_it_stands=True)
-            self.checks[key] = checked(self.forward_model.data, state, whiten, self._rng(2))
-        return self.checks[key]
+            state = found.fitted.whitened(self.search.data.y, whiten, as_it_stands=True)
+            rng = np.random.default_rng([self.seed, 2])
+            self._checks[key] = checked(self.search.data, state, whiten, rng)
+        return self._checks[key]
 
     # ------------------------------------------------------------ what is reported
 
     def _finish(self, word: Word, reason: str, chosen: Explanation) -> Diagnosis:
         search, best = self.search, self.several[0]
         members = credible(self.several)
-        testable = word != "untestable" or bool(search.linear[()].added)
+        names = search.linear[()].added
+        testable = word != "untestable" or bool(names)
         shown = chosen or (best.explanation if word in ("unexplained", "ambiguous") else ())
-        names = [name for name in search.facts if name in search.linear[()].added]
         base = search.known[()]
         return Diagnosis(
             verdict=word, reason=reason, relative=search.relative, base=base.fitted,
-            nothing=self.nothing if testable else 1.0, adequate_from=self.limit,
+            nothing=self.nothing, adequate_from=self.limit,
             explanations=tuple(self.several), confidence_set=tuple(each.explanation for each in members),
             effects={name: containing((name,), self.several) for name in names}, chosen=chosen,
             check=self._checked(base) if testable else None,
@@ -196,7 +200,7 @@ class _Run:
     def _shrink(self, shown: Explanation) -> tuple[Shrink, ...]:
         """Stages from the base model to the shown explanation, with its effects added one at a time; the last
         one's c and m are averaged over all explanations."""
-        known, data = self.search.known, self.forward_model.data
+        known, data = self.search.known, self.search.data
         while shown not in known:
             shown = shown[:-1]
         stages = [known[shown[:n]] for n in range(len(shown) + 1) if shown[:n] in known]
@@ -213,14 +217,14 @@ class _Run:
         return tuple(found)
 
     def _averaged(self, mine: Posterior) -> Estimates:
-        imaged = bool(self.forward_model.data.imaged.any())
+        imaged = bool(self.search.data.imaged.any())
         fits = [(each.probability, each.posterior) for each in self.several if each.posterior is not None]
         others = [(p, one) for p, one in fits if one is not mine and p > 1e-3]
         own = next(p for p, one in fits if one is mine)
         return estimates([(max(own, 1e-6), mine), *others], imaged=imaged)
 
     def _common(self, found: Posterior) -> tuple[CommonError, ...]:
-        whiten, data = self.search.whitener(found), self.forward_model.data
+        whiten, data = self.search.whitener(found), self.search.data
         return common_errors(data.noise, whiten, found.fitted.whitened(data.y, whiten))
 
     def _blind_spots(self) -> tuple[BlindSpot, ...]:
@@ -242,10 +246,10 @@ class _Run:
         if len(fits) < 2:
             return ()
         try:
-            proposals = self.forward_model.proposals(
+            proposals = self.search.forward_model.proposals(
                 [each.posterior.fitted for each in fits if each.posterior]
             )
         except LimbError as error:
             self.search.not_evaluated["next measurement"] = error.what
             return ()
-        return ranked(fits, proposals, self._rng(3))
+        return ranked(fits, proposals, np.random.default_rng([self.seed, 3]))

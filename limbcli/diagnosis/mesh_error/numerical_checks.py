@@ -7,6 +7,7 @@ assumed compressibility, the cut, the contact and the geometry enter the noise.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -45,6 +46,7 @@ from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
 from limbcli.effects.turn import TURN
 from limbcli.errors import LimbError
+from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.significant_digits import short
@@ -137,7 +139,7 @@ class Intervention:
 class NumericalChecks:
     """The numerical checks of one site on its simulations.
 
-    size : mm, of the working mesh's edges; penetration : of the simulated contact, set by `interventions`
+    size : mm, of the working mesh's edges
     """
 
     case: Case
@@ -148,7 +150,6 @@ class NumericalChecks:
     size: float
     notes: Notes
     progress: Progress
-    penetration: Penetration | None = None
 
     @cached_property
     def depth(self) -> Array:
@@ -195,17 +196,20 @@ class NumericalChecks:
     def _intervene(self, numerical: Effect) -> Intervention:
         plain_curves, changed = self.curves, self.curves_with(numerical, self.likely_m)
         judged = self._judged(numerical.name, plain_curves, changed, numerical.sentence)
-        if numerical.name == "contact":
-            self.penetration = penetration(plain_curves, changed)
         # A free cut gives too low a force and a fixed one too high a force: curves are corrected half-way.
         # Reducing the penalty to a quarter lowers the force by 1.5 to 3 times what the remaining gap does.
         # The curves are corrected for this gap; if it is unknown, the whole change counts as uncertain.
-        share = {
-            "crop": _CUT_LEFT, FAR_SIDE.name: _FAR_SIDE_LEFT,
-            "contact": 1.0 if self.penetration is None else LEFT_ERROR,
-            "thickness": _THICKNESS_LEFT,
-        }  # fmt: skip
-        return replace(judged, left=share.get(numerical.name, 1.0))
+        left = {"crop": _CUT_LEFT, FAR_SIDE.name: _FAR_SIDE_LEFT, "thickness": _THICKNESS_LEFT}
+        if numerical.name == "contact" and self.penetration is not None:
+            return replace(judged, left=LEFT_ERROR)
+        return replace(judged, left=left.get(numerical.name, 1.0))
+
+    @cached_property
+    def penetration(self) -> Penetration | None:
+        """Of the probe into the simulated skin; None where it cannot be told."""
+        with suppress(LimbError):
+            return penetration(self.curves, self.curves_with(effect("contact"), self.likely_m))
+        return None
 
     def _locking(self) -> list[Intervention]:
         """The force of the site's own run, if of linear elements, against that of the working tet10."""
@@ -230,7 +234,7 @@ class NumericalChecks:
     def _judged(self, name: str, before: Curves, after: Curves, note: str) -> Intervention:
         change = change_of(before, after)
         change[0, 0] = change[1, 0]
-        moved = at_depths(self.depth, before, change)
+        moved = at_depths(change.T, before.depth, self.depth)
         noise = self.site.noise
         slope = SmoothDepth.through(readings(self.levels)).slope(self.levels.force)
         deviation = np.hypot(noise.force, slope * noise.depth)
@@ -260,7 +264,7 @@ class NumericalChecks:
             rise[here, k] = np.gradient(self.curves.log_speed[here, k], self.curves.depth[here])
         return KnownErrors(
             errors=self._errors(correction, interventions, thickness), map_share=correction.map_share,
-            map_slopes=at_depths(self.depth[keep], self.curves, gaps_filled(rise)[:, 1:]),
+            map_slopes=at_depths(gaps_filled(rise)[:, 1:].T, self.curves.depth, self.depth[keep]),
             thickness=thickness, bone_as_shown=bool(self.case.imaging.assumed),
         )  # fmt: skip
 
@@ -312,11 +316,6 @@ class NumericalChecks:
         for curves in where_solved(self.simulations.curves, FIRST_M).values():
             seen &= np.isfinite(curves.log_speed[:, 1:]).all(axis=0)
         return seen
-
-
-def at_depths(depth: Array, curves: Curves, table: Array) -> Array:
-    """Interpolate a table over the curves' depths to other depths."""
-    return np.array([np.interp(depth, curves.depth, column) for column in table.T]).T
 
 
 def large_uncertainty(interventions: Sequence[Intervention]) -> str | None:

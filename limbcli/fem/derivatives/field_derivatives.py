@@ -7,25 +7,21 @@ finite differences of the law, accurate to about nine digits; all others are exa
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
+
 import numpy as np
 
-from limbcli.fem.derivatives.parameters import BodyMotion, Parameter, ShapeParameter
+from limbcli.fem.derivatives.parameters import Parameter
 from limbcli.fem.derivatives.point_changes import PointChanges, point_changes
 from limbcli.fem.derivatives.sensitivity import Sensitivity, reaction_changes
 from limbcli.fem.motion.state import State
 from limbcli.fem.record_fields import (
-    _CENTER,
-    _F,
-    _PRINCIPAL,
-    _STRAIN,
-    _STRESS,
-    _STRETCH,
     BODY_FIELDS,
     NODE_FIELDS,
     TANGENT_FIELDS,
-    _component,
     check_record,
-    mean_places,
+    columns_of,
     pair_push,
     pushed,
     right_stretch,
@@ -47,8 +43,6 @@ def record_derivatives(
     if record.kind == "rigid_body":
         b = [body.name for body in system.bodies].index(str(record.items))
         shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
-        if isinstance(parameter, BodyMotion) and parameter.body == system.bodies[b].name:
-            shift = shift + np.asarray(parameter.motion[:3])
         turn = _vector_change(state.bodies[b].rotation, spin)
         values = np.concatenate([shift, turn, sensitivity.bodies[b]])
         return np.array([b], dtype=np.int64), values[None, [BODY_FIELDS.index(n) for n in record.fields]]
@@ -56,17 +50,12 @@ def record_derivatives(
         reactions = np.zeros(0)
         if {"Rx", "Ry", "Rz"} & set(record.fields):
             reactions = reaction_changes(system, state, parameter, sensitivity)
-        moves, rest = _node_changes(system, state, parameter, sensitivity)
-        of = {"x": moves + rest, "u": moves, "R": reactions}
-        columns = [of[name[0] if name in NODE_FIELDS[3:] else "x"] for name in record.fields]
+        moves = _node_changes(system, state, sensitivity)
+        columns = [reactions if name.startswith("R") else moves for name in record.fields]
         places = [NODE_FIELDS.index(name) % 3 for name in record.fields]
         values = np.stack([c[:, k] for c, k in zip(columns, places, strict=True)], axis=1)
     else:
         values = np.zeros((sum(len(b.cells) for b in system.model.mesh.blocks), len(record.fields)))
-        for k, name in enumerate(record.fields):
-            if name in _CENTER:  # positions of rigid cells; those of other cells are overwritten below
-                _, rest = _node_changes(system, state, parameter, sensitivity)
-                values[:, k] = mean_places(system, rest)[:, _CENTER.index(name)]
         for number, group in enumerate(system.groups):
             rows = cell_field_derivatives(system, state, number, record.fields, parameter, sensitivity)
             values[group.first : group.first + len(group.cells)] = rows
@@ -87,38 +76,30 @@ def cell_field_derivatives(
     Where principal values coincide, the derivatives are one-sided, for increasing theta and in the order
     the values then have; for decreasing theta the same values apply in the opposite order.
     """
-    tangent = bool(set(TANGENT_FIELDS) & set(fields))
+    group, tangent = system.groups[number], bool(set(TANGENT_FIELDS) & set(fields))
     at = point_changes(system, state, number, parameter, sensitivity.displacement, tangent=tangent)
-    spatial = _tangent_change(at).mean(axis=1) if tangent else np.zeros(0)
     C = np.swapaxes(at.F, -1, -2) @ at.F
-    tensors = {"s": (at.stress, at.d_stress), "E": (0.5 * (C - np.eye(3)), at.d_strain)}
-    if any(name.startswith("U") for name in fields):
-        tensors["U"] = right_stretch(C), stretch_change(C, 2.0 * at.d_strain)
-    principal = {}
-    for letter in {name[0] for name in _PRINCIPAL if name in fields}:
-        value, change = (each.reshape(-1, 3, 3) for each in tensors[letter])
-        principal[letter] = principal_changes(value, change).reshape(*C.shape[:2], 3).mean(axis=1)
-    columns = []
-    for name in fields:
-        if name in TANGENT_FIELDS:
-            columns.append(spatial[:, *divmod(TANGENT_FIELDS.index(name), 6)])
-        elif name in ("J", "sed"):
-            columns.append((at.d_volume if name == "J" else at.d_energy).mean(axis=1))
-        elif name in _F:
-            columns.append(at.dF[:, :, *_F[name]].mean(axis=1))
-        elif name in _STRESS:
-            columns.append(_component(at.d_stress, _STRESS[name]))
-        elif name in _STRAIN:
-            columns.append(_component(at.d_strain, _STRAIN[name]))
-        elif name in _STRETCH:
-            columns.append(_component(tensors["U"][1], _STRETCH[name]))
-        elif name in _CENTER:
-            moves, rest = _node_changes(system, state, parameter, sensitivity)
-            of_nodes = (moves + rest)[:, _CENTER.index(name)]
-            columns.append(of_nodes[system.groups[number].cells] @ system.groups[number].shares)
-        else:
-            columns.append(principal[name[0]][:, int(name[1]) - 1])
-    return np.stack(columns, axis=1)
+
+    tensors: dict[str, tuple[Callable[[], Array], Callable[[], Array]]] = {
+        "s": (lambda: at.stress, lambda: at.d_stress),
+        "E": (lambda: 0.5 * (C - np.eye(3)), lambda: at.d_strain),
+        "U": (lambda: right_stretch(C), lambda: stretch_change(C, 2.0 * at.d_strain)),
+    }
+
+    def principal(name: str) -> Array:
+        value, change = (each().reshape(-1, 3, 3) for each in tensors[name])
+        return principal_changes(value, change).reshape(*C.shape[:2], 3).mean(axis=1, keepdims=True)
+
+    moves = _node_changes(system, state, sensitivity)[group.cells]
+    return columns_of(fields, {
+        "J": lambda: at.d_volume,
+        "sed": lambda: at.d_energy,
+        "place": lambda: np.einsum("k,cki->ci", group.shares, moves)[:, None],
+        "F": lambda: at.dF,
+        "tangent": lambda: _tangent_change(at).mean(axis=1, keepdims=True),
+        **{name: change for name, (_, change) in tensors.items()},
+        **{f"principal {name}": partial(principal, name) for name in tensors},
+    })  # fmt: skip
 
 
 def stretch_change(C: Array, change: Array) -> Array:
@@ -166,23 +147,15 @@ def _tangent_change(at: PointChanges) -> Array:
     return np.asarray(whole / J - growth * pushed(F, at.CC))
 
 
-def _node_changes(
-    system: System, state: State, parameter: Parameter, sensitivity: Sensitivity
-) -> tuple[Array, Array]:
-    """Derivatives (n_points, 3) of displacements and of reference positions of all nodes, also rigid ones."""
-    moves, rest = sensitivity.displacement.copy(), np.zeros_like(system.X)
-    if isinstance(parameter, ShapeParameter):
-        rest += parameter.directions
+def _node_changes(system: System, state: State, sensitivity: Sensitivity) -> Array:
+    """Derivatives (n_points, 3) of the displacements of all nodes, also rigid ones."""
+    moves = sensitivity.displacement.copy()
     for b, body in enumerate(system.bodies):
         own = np.setdiff1d(body.points, body.tied)  # tied nodes are already part of the displacements
         turn, arm = state.bodies[b].turn, system.X[own] - body.center
         shift, spin = sensitivity.motions[b, :3], sensitivity.motions[b, 3:]
         moves[own] += shift + np.cross(spin, arm @ turn.T)
-        if isinstance(parameter, BodyMotion) and parameter.body == body.name:
-            begin = np.cross(parameter.motion[3:], arm)
-            rest[own] += parameter.motion[:3] + begin
-            moves[own] += begin @ turn.T - begin
-    return moves, rest
+    return moves
 
 
 def _vector_change(vector: Array, spin: Array) -> Array:

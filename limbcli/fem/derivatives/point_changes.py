@@ -1,10 +1,8 @@
 """Derivatives of deformation, stress, energy and tangent at the integration points of a group.
 
-With v = du/dtheta, the mesh's F = 1 + grad u changes by grad v. In addition, at fixed u:
-
-- reference positions that move with velocities V (a layer's thickness) change F by -(F - 1) grad V;
-- a change of the prestrain G changes F G, the deformation gradient passed to the law;
-- a change of a law parameter changes the stress, as given by its derivative programs.
+With v = du/dtheta, the mesh's F = 1 + grad u changes by grad v. In addition, at fixed u, a change of the
+prestrain G changes F G, the deformation gradient passed to the law, and a change of a law parameter changes
+the stress, as given by its derivative programs.
 
 Then dS = CC : sym(F' dF) + dS/dtheta, and so on by the chain rule. All derivatives are exact except that of
 the tangent, see `materials.tangent_change`.
@@ -21,13 +19,10 @@ from limbcli.fem.derivatives.parameters import (
     LawParameter,
     Parameter,
     Prestrain,
-    ShapeParameter,
-    Tied,
-    changed_together,
     prestrain_change,
     programs,
 )
-from limbcli.fem.elements import kernels
+from limbcli.fem.elements.element_loops import states_at_points
 from limbcli.fem.elements.groups import Group, Operands
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
@@ -114,14 +109,9 @@ def point_changes(
     tangent : whether `CC` and `d_tangent` will be used
     """
     group, o = system.groups[number], system.operands[number]
-    shape = o.weight.shape
-    law_F, S, CC = np.empty((*shape, 3, 3)), np.empty((*shape, 6)), np.empty((*shape, 6, 6))
-    args = o.sloped().arguments()
-    system.threads.run(lambda w, a, b: kernels.stress_state(a, b, state.u, *args, law_F, S, CC), len(o.cells))
+    law_F, S, CC = states_at_points(system.threads, o.sloped(), state.u, tangent=True)
     F = law_F @ np.linalg.inv(o.base)
     dF = _gradient(group, v)
-    if isinstance(parameter, ShapeParameter):
-        dF -= (F - np.eye(3)) @ _gradient(group, parameter.directions)
     law_dF = dF @ o.base
     if isinstance(parameter, Prestrain) and group.material.name == parameter.material:
         law_dF += F @ prestrain_change(group, parameter, system.curve)
@@ -130,8 +120,7 @@ def point_changes(
     dS = np.einsum("egpq,egq->egp", CC, E)
     direct, dpar = _of_the_law(system, state, number, parameter)
     if tangent and o.jumps:
-        args = o.arguments()
-        kernels.stress_state(0, len(o.cells), state.u, *args, law_F, S, CC)
+        law_F, S, CC = states_at_points(system.threads, o, state.u, tangent=True)
     stresses = S[..., VOIGT], (dS + direct)[..., VOIGT]
     return PointChanges(group.material, o, F, dF, law_F, law_dF, *stresses, CC, dpar)
 
@@ -140,16 +129,13 @@ def _of_the_law(system: System, state: State, number: int, parameter: Parameter)
     """Derivatives of S (n_cells, n_gauss, 6) at fixed deformation, and of the law's numbers."""
     group, o = system.groups[number], system.operands[number]
     dS, dpar = np.zeros((*o.weight.shape, 6)), np.zeros((1, o.par.shape[1]))
-    parts = changed_together(parameter) if isinstance(parameter, LawParameter | Tied) else []
-    F, S, nothing = np.empty((*o.weight.shape, 3, 3)), np.empty_like(dS), np.zeros((0, 1, 6, 6))
-    for part, rates in parts:
-        if number not in (found := programs(system, part, rates)):
-            continue
-        dpar = dpar + group.material.change(rates, len(group.cells), system.curve, weights=part.weights)
-        for program in found[number]:
-            own = o.with_program(program).arguments()
-            kernels.stress_state(0, len(o.cells), state.u, *own, F, S, nothing)
-            dS += S if program.factor is None else S * program.factor[:, None, None]
+    if not isinstance(parameter, LawParameter) or number not in (found := programs(system, parameter)):
+        return dS, dpar
+    rates, weights = parameter.rates, parameter.weights
+    dpar = dpar + group.material.change(rates, len(group.cells), system.curve, weights=weights)
+    for program in found[number]:
+        _, S, _ = states_at_points(system.threads, o.with_program(program), state.u)
+        dS += S if program.factor is None else S * program.factor[:, None, None]
     return dS, dpar
 
 

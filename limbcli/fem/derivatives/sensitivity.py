@@ -7,38 +7,19 @@ level, reusing the existing factor; K is the exact tangent of the converged stat
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial as partial_function
 
 import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.contacts.contact_state import ContactState
-from limbcli.fem.derivatives.parameters import (
-    BodyMotion,
-    LawParameter,
-    Parameter,
-    Prestrain,
-    ShapeParameter,
-    given_motions,
-    partial,
-)
+from limbcli.fem.derivatives.parameters import Parameter, partial
 from limbcli.fem.equilibrium.newton import Newton
 from limbcli.fem.linear_solvers.krylov import gmres
 from limbcli.fem.motion.state import Forces, State
 from limbcli.fem.system import System
 from limbcli.model import Array
-
-__all__ = [
-    "BodyMotion",
-    "LawParameter",
-    "Parameter",
-    "Prestrain",
-    "Sensitivity",
-    "ShapeParameter",
-    "partial",
-    "sensitivities",
-]
 
 _TOLERANCE = 1e-7  # relative residual at which GMRES stops
 _ENOUGH = 1e-6  # relative residual that is accepted
@@ -85,15 +66,13 @@ def sensitivities(
         )
     loads = [partial(system, forces.contact, each) for each in parameters]
     newton.linearised.ready_for(len(loads), -np.log10(_TOLERANCE), state, forces)
-    found = [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
-    given = [system.follow(state, given_motions(system, state, each)) for each in parameters]
-    return [replace(a, displacement=a.displacement + v) for a, v in zip(found, given, strict=True)]
+    return [_one(newton, state, forces, nodal, bodies) for nodal, bodies in loads]
 
 
 def reaction_changes(system: System, state: State, parameter: Parameter, sensitivity: Sensitivity) -> Array:
     """Derivatives (n_points, 3) of the reactions at nodes with prescribed displacements."""
     nodal, _ = partial(system, sensitivity.contact, parameter)
-    v = sensitivity.displacement - system.follow(state, given_motions(system, state, parameter))
+    v = sensitivity.displacement
     contact, _ = system.contact_times(sensitivity.contact, v, sensitivity.motions)
     return np.where(system.driven, nodal + system.tangent_times(state, v) + contact, 0.0)
 

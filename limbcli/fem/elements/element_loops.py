@@ -135,3 +135,15 @@ class ElementLoops:
             return kernel(begin, end, state.u, *args, parts[worker])
 
         return self.threads.run(task, len(o.cells))
+
+
+def states_at_points(
+    threads: Threads, o: Operands, u: Array, *, tangent: bool = False
+) -> tuple[Array, Array, Array]:
+    """F (n_cells, n_gauss, 3, 3) passed to the law, second Piola-Kirchhoff stress S (..., 6), and dS/dE
+    (..., 6, 6), empty without `tangent`, of a group's points at displacements u (n_points, 3)."""
+    shape, args = o.weight.shape, o.arguments()
+    F, S = np.empty((*shape, 3, 3)), np.empty((*shape, 6))
+    CC = np.empty((*shape, 6, 6)) if tangent else np.zeros((0, 1, 6, 6))
+    threads.run(lambda _, begin, end: kernels.stress_state(begin, end, u, *args, F, S, CC), len(o.cells))
+    return F, S, CC

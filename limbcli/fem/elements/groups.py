@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -223,6 +222,3 @@ def _rule(domain: Domain, block: Block) -> str:
             fix=f"use one of {', '.join(known)}, or run FEBio",
         )
     return "TET10G4" if domain.rule == "TET10G4" else block.kind
-
-
-Curves = Callable[[str], float]

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from limbcli.fem.elements import kernels
+from limbcli.fem.elements.element_loops import states_at_points
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
@@ -97,10 +97,5 @@ class Histories:
 def elastic_stress(system: System, state: State, number: int) -> Array:
     """Elastic second Piola-Kirchhoff stress (n_cells, n_gauss, 6) of a group, without the Prony series."""
     o = replace(system.operands[number], scale=1.0, history=np.zeros((0, 1, 6)))
-    F, S = np.empty((*o.weight.shape, 3, 3)), np.empty((*o.weight.shape, 6))
-    args = o.arguments()
-    nothing = np.zeros((0, 1, 6, 6))
-    system.threads.run(
-        lambda w, a, b: kernels.stress_state(a, b, state.u, *args, F, S, nothing), len(o.cells)
-    )
+    _, S, _ = states_at_points(system.threads, o, state.u)
     return S

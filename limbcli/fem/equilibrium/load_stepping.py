@@ -12,8 +12,9 @@ from limbcli.fem.contacts.pairs import Pair
 from limbcli.fem.equilibrium.first_guesses import beside, extrapolate
 from limbcli.fem.equilibrium.history import Histories
 from limbcli.fem.equilibrium.increments import Increment, IncrementOutcome, LoadStepPath, Reached
-from limbcli.fem.equilibrium.newton import LoadStep, Newton, NotConverged
+from limbcli.fem.equilibrium.newton import Newton, NotConverged
 from limbcli.fem.equilibrium.relaxation import relax
+from limbcli.fem.equilibrium.settings import LoadStep
 from limbcli.fem.linear_solvers.singular import SingularMatrix
 from limbcli.fem.motion.state import Forces, RoughState, State, norm
 from limbcli.model import Array, LimbModel, Step

@@ -16,14 +16,13 @@ from limbcli.fem.system import System
 from limbcli.model import Array
 from limbcli.progress import SILENT, Progress
 
-__all__ = ["Counts", "LoadStep", "Newton", "NotConverged", "Settings"]
-
 _PATIENCE, _PATIENT_ITERATIONS = 10.0, 4  # growth of the residual allowed per step, in the first iterations
 _ROUND_OFF = 1e-6  # residual regarded as round-off, as a fraction of `System.least_force`
 _FORCING = (1e-4, 0.1)  # bounds on the forcing term, the relative tolerance of the linear solve
 _LINEAR = 1e-8  # relative tolerance of the linear solve of a first iterate
 _ROUGH = 0.1  # relative tolerance of the linear solve of the tangent predictor
 _FAR = 0.1  # relative residual above which contact tractions are regarded as far from those at equilibrium
+_RENEWED = 1e-3  # the elastic tangent is reassembled after an iteration that leaves more of the residual
 _NEARLY_FLAT = 0.4  # volume ratio below which an element is reported as about to invert
 _SHARE = 0.6  # forcing term as a fraction of the residual reduction expected of quadratic convergence
 
@@ -154,7 +153,7 @@ class Newton:
             state, forces, length = self.search(state, forces, step, iteration, contact=found)
             if length == 0.0 and renew:
                 break
-            renew = forces.error > settings.renew_ratio * before
+            renew = forces.error > _RENEWED * before
         if stagnation.acceptable:
             return self.accepted(stagnation.acceptable, load_step, iteration)
         raise self.failure(forces, load_step, iteration, "Newton's method made no further progress")

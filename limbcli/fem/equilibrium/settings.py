@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Protocol
 
 
@@ -15,8 +15,6 @@ class Settings:
         holds sticking points anew there: the two then agree, and every time step loses more friction
     stalled : relative residual accepted where the iteration stagnates, as when a contact point alternates
         between open and closed
-    renew_ratio : the elastic tangent is reassembled after an iteration that leaves more than this fraction
-        of the residual
     single : factor in single precision (None: for large systems); GMRES restores the accuracy
     linear : "auto", "multifrontal", "pardiso" or "superlu"
     volume_ratios : use independent volume ratios during the iteration (see `Newton.with_volumes`)
@@ -28,21 +26,19 @@ class Settings:
     threads: int = 2
     single: bool | None = None
     volume_ratios: bool = True
-    renew_ratio: float = 1e-3
     stalled: float = 0.0
     slip_as_febio: bool = False
 
 
 @dataclass
 class Counts:
-    """Counts of the work done, and its time."""
+    """Counts of the work done."""
 
     iterations: int = 0
     residuals: int = 0
     krylov: int = 0
     factorisations: int = 0
     retries: int = 0
-    seconds: dict[str, float] = field(default_factory=dict)
 
 
 class WorkLimit(Protocol):

@@ -13,6 +13,7 @@ import numpy as np
 
 from limbcli.fem.elements import kernels
 from limbcli.fem.elements.assembly import Threads, total
+from limbcli.fem.elements.element_loops import states_at_points
 from limbcli.fem.elements.groups import Operands
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
@@ -61,16 +62,8 @@ def find_jumps(system: System, state: State) -> Jumps | None:
 
 
 def _points(threads: Threads, state: State, o: Operands) -> Points:
-    shape = o.weight.shape
-    F, S = np.empty((*shape, 3, 3)), np.empty((*shape, 6))
-    tangents = np.empty((*shape, 6, 6)), np.empty((*shape, 6, 6))
-    for each, CC in zip((o.sloped(), o), tangents, strict=True):
-
-        def task(_: int, begin: int, end: int, each: Operands = each, CC: Array = CC) -> None:
-            kernels.stress_state(begin, end, state.u, *each.arguments(), F, S, CC)
-
-        threads.run(task, len(o.cells))
-    slope = tangents[0] - tangents[1]
+    F, _, sloped = states_at_points(threads, o.sloped(), state.u, tangent=True)
+    slope = sloped - states_at_points(threads, o, state.u, tangent=True)[2]
     cell, point = np.nonzero(np.abs(slope).max(axis=(2, 3)))
     weighted = slope[cell, point] * o.weight[cell, point, None, None]
     return Points(o.cells[cell], o.grad[cell, point], F[cell, point], weighted)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import ctypes
 import os
 import sys
-import time
 from typing import Any, Protocol
 
 import numpy as np
@@ -22,12 +21,10 @@ from limbcli.model import Array, IntArray
 
 
 class LinearSolver(Protocol):
-    """Interface: factor(values), then solve(rhs); counts factorisations, solves and seconds."""
+    """Interface: factor(values), then solve(rhs); counts factorisations."""
 
     name: str
     n_factorisations: int
-    n_solves: int
-    seconds: float
 
     @property
     def solves_per_factor(self) -> float: ...
@@ -73,8 +70,7 @@ class Pardiso:
         self._iparm[23] = 1 if threads > 1 else 0  # two-level factorisation
         self._iparm[27] = 1 if single else 0
         self._mtype = -2
-        self.n_factorisations = self.n_solves = 0
-        self.seconds = 0.0
+        self.n_factorisations = 0
         self._call(11)
 
     def factor(self, values: Array) -> None:
@@ -83,13 +79,7 @@ class Pardiso:
         self.n_factorisations += 1
 
     def solve(self, rhs: Array) -> Array:
-        self.n_solves += 1
         return self._call(33, rhs).astype(float).reshape(rhs.shape, order="F")
-
-    @property
-    def memory_mb(self) -> float:
-        """Peak memory of analysis and factor (MB)."""
-        return max(int(self._iparm[14]), int(self._iparm[15]) + int(self._iparm[16])) / 1024.0
 
     @property
     def n_perturbed(self) -> int:
@@ -114,7 +104,6 @@ class Pardiso:
             self.close()
 
     def _call(self, phase: int, rhs: Array | None = None) -> Array:
-        started = time.perf_counter()
         b = np.zeros(self.n if phase == 33 else 1, dtype=self._type)
         if rhs is not None:
             b = np.asfortranarray(rhs, dtype=self._type)
@@ -136,7 +125,6 @@ class Pardiso:
             x.ctypes.data_as(ctypes.c_void_p),
             ctypes.byref(error),
         )
-        self.seconds += time.perf_counter() - started
         if error.value == -2:
             raise ToolError(
                 "not enough memory to factor the stiffness matrix",
@@ -158,12 +146,9 @@ class SuperLU:
         self.n = len(indptr) - 1
         self._indptr, self._indices = indptr, indices
         self._lu: Any = None
-        self.n_factorisations = self.n_solves = 0
-        self.seconds = 0.0
-        self.memory_mb = 0.0
+        self.n_factorisations = 0
 
     def factor(self, values: Array) -> None:
-        started = time.perf_counter()
         upper = sparse.csr_matrix((values, self._indices, self._indptr), shape=(self.n, self.n))
         full = (upper + sparse.triu(upper, 1).T).tocsc()
         try:
@@ -173,10 +158,8 @@ class SuperLU:
         except RuntimeError as error:
             raise singular(str(error)) from error
         self.n_factorisations += 1
-        self.seconds += time.perf_counter() - started
 
     def solve(self, rhs: Array) -> Array:
-        self.n_solves += 1
         x = np.asarray(self._lu.solve(rhs))
         if not np.isfinite(x).all():
             raise singular("the solution is not finite")

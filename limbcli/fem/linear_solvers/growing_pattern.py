@@ -53,7 +53,5 @@ class GrowingPatternSolver:
         before, indptr = self._solver, np.searchsorted(row, np.arange(self._n + 1))
         self._solver = self._make(indptr, column)
         self._solver.n_factorisations += before.n_factorisations
-        self._solver.n_solves += before.n_solves
-        self._solver.seconds += before.seconds
         before.close()
         self.n_analyses += 1

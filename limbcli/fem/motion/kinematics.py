@@ -6,14 +6,7 @@ import numpy as np
 
 from limbcli.errors import SolveError
 from limbcli.fem.motion import load_curves
-from limbcli.fem.motion.rigid import (
-    AT_REST,
-    DOFS,
-    Body,
-    BodyState,
-    make_bodies,
-    whole_rotation,
-)
+from limbcli.fem.motion.rigid import AT_REST, DOFS, Body, BodyState, make_bodies, whole_rotation
 from limbcli.fem.motion.state import State
 from limbcli.model import Array, IntArray, LimbModel, NodeMap, Support
 from limbcli.model.bodies import Drive
@@ -70,8 +63,6 @@ class Kinematics:
         self.free = free
         self._places = np.flatnonzero(free)
         self.rigid: list[tuple[int, int]] = [(b, k) for b, body in enumerate(self.bodies) for k in body.free]
-        if self.n_tissue + len(self.rigid) == 0:
-            self.n_tissue = 0
 
     def _find_prescribed(self, free: Array) -> list[tuple[IntArray, int, Array, str | None, bool]]:
         """(nodes, axis, values, curve, relative) of every support; clears the constrained entries of `free`.

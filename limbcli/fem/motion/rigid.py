@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -91,7 +91,7 @@ class Body:
     drives: dict[str, Drive]
     tied: IntArray
     points: IntArray
-    free: tuple[int, ...] = field(default=())
+    free: tuple[int, ...] = ()
 
     def given(self, dof: str) -> bool:
         drive = self.drives.get(dof)
@@ -120,27 +120,14 @@ def _body(model: LimbModel, body: RigidBody, drives: tuple[Drive, ...]) -> Body:
                 f"body {body.name!r} has two drives for {each.dof}", where="rigid bodies", fix="keep one"
             )
         mine[each.dof] = each
-    points = _nodes(model, body.blocks)
-    shared = np.intersect1d(points, _nodes(model, tuple(domain.block for domain in model.domains)))
-    tied = [model.mesh.node_sets[name] for name in body.node_sets]
-    result = Body(
-        body.name,
-        np.array(body.center_of_mass, dtype=float),
-        mine,
-        np.unique(np.concatenate([*tied, shared])),
-        points,
-    )
-    moves = bool(len(result.tied) or len(result.points)) or any(
-        body.name in (s.body_a, s.body_b) for s in model.springs
-    )
-    free = tuple(k for k, dof in enumerate(DOFS) if not result.given(dof)) if moves else ()
-    return Body(result.name, result.center, result.drives, result.tied, result.points, free)
-
-
-def _nodes(model: LimbModel, blocks: tuple[str, ...]) -> IntArray:
-    """Unique node numbers (n,) of the blocks' cells."""
-    cells = [model.mesh.block(name).cells.ravel() for name in blocks]
-    return np.unique(np.concatenate(cells)) if cells else np.zeros(0, dtype=np.int64)
+    points = model.mesh.nodes_of(body.blocks)
+    shared = np.intersect1d(points, model.mesh.nodes_of(domain.block for domain in model.domains))
+    tied = np.unique(np.concatenate([*(model.mesh.node_sets[name] for name in body.node_sets), shared]))
+    made = Body(body.name, np.array(body.center_of_mass, dtype=float), mine, tied, points)
+    is_sprung = any(body.name in (spring.body_a, spring.body_b) for spring in model.springs)
+    if not (len(tied) or len(points) or is_sprung):
+        return made
+    return replace(made, free=tuple(k for k, dof in enumerate(DOFS) if not made.given(dof)))
 
 
 def spring_forces(spring: Spring, bodies: dict[str, tuple[Body, BodyState]]) -> tuple[Array, Array, Array]:

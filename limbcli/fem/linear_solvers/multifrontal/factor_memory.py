@@ -42,16 +42,3 @@ class Store:
         workspace = max(BLOCK * max(layout.largest_panel, BLOCK), TILE * STRIP) + TILE * TILE
         self.work = [np.empty(workspace, dtype=self.kind) for _ in range(2)]
         self.inverses = [np.empty((BLOCK + TILE) * TILE, dtype=self.kind) for _ in range(2)]
-
-    @property
-    def memory_mb(self) -> float:
-        arrays: list[Any] = [
-            *self.kept,
-            *self.panels,
-            self.updates,
-            self.values,
-            self.sign,
-            *self.work,
-            *self.plan,
-        ]
-        return sum(each.nbytes for each in arrays) / 2.0**20

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections import deque
 from functools import partial
 from typing import Any
@@ -48,7 +47,6 @@ class Multifrontal:
         last: IntArray | None = None,
         metis: bool = True,
     ):
-        started = time.perf_counter()
         self.name = "multifrontal LDL" + (" (single precision)" if single else "")
         self.n = len(indptr) - 1
         self._indptr, self._indices = (np.ascontiguousarray(a, dtype=np.int64) for a in (indptr, indices))
@@ -60,21 +58,18 @@ class Multifrontal:
         self._root = Root(self._store, self._top, self.layout.order, kept=last is not None and len(last) > 0)
         self._substitution = Substitution(self.layout, self._store, self._team)
         self._made_up = 0
-        self.n_factorisations = self.n_solves = 0
-        self.seconds = time.perf_counter() - started
+        self.n_factorisations = 0
 
     # ------------------------------------------------------------ factor
 
     def factor(self, values: Array) -> None:
         """Factor the matrix with these CSR values; the root front is factored when it is needed."""
-        started = time.perf_counter()
         with self._blas_threads.limit(limits=1):
             self._scale(np.ascontiguousarray(values, dtype=float))
             self._made_up = self._factor_subtrees() + self._factor_top()
             self._top.gather(self._root.front, self._root.panel)
             self._root.gathered()
         self.n_factorisations += 1
-        self.seconds += time.perf_counter() - started
 
     def _scale(self, values: Array) -> None:
         """Scale the matrix to a diagonal of +-1 and convert it to the factor's precision."""
@@ -123,15 +118,12 @@ class Multifrontal:
 
     def solve(self, rhs: Array) -> Array:
         """Solution (n,) for a right-hand side (n,)."""
-        started = time.perf_counter()
         self._finish()
         w = self._substitution.enter(np.ascontiguousarray(rhs, dtype=float))
         self._substitution.forward(w)
         self._root.solve(w)
         self._substitution.backward(w)
         x = self._substitution.leave(w)
-        self.n_solves += 1
-        self.seconds += time.perf_counter() - started
         if not np.isfinite(x).all():
             raise singular("the solution is not finite")
         return x
@@ -156,10 +148,8 @@ class Multifrontal:
 
     def update_root(self, addition: sparse.sparray | None) -> None:
         """Factor `schur + addition` (None: `schur`), in the order of `root`."""
-        started = time.perf_counter()
         with self._blas_threads.limit(limits=1):
             self._root.update(addition)
-        self.seconds += time.perf_counter() - started
 
     # ------------------------------------------------------------ figures
 
@@ -182,10 +172,6 @@ class Multifrontal:
         in `linearised` were tuned with this formula.
         """
         return 14.0 + self.layout.flops / 8e9
-
-    @property
-    def memory_mb(self) -> float:
-        return self._store.memory_mb
 
     def close(self) -> None:
         self._team.close()
