@@ -142,7 +142,7 @@ def _images(folder: Path, progress: Progress) -> tuple[list[tuple[str, Dataset]]
         )
     kinds = ", ".join(f"{count} {kind}" for kind, count in without_pixels.items())
     if found:
-        contours = "; contours are not read: give them as a label map" * ("RTSTRUCT" in without_pixels)
+        contours = "; to use the contours, give the file as [imaging] labels" * ("RTSTRUCT" in without_pixels)
         left_out = (f"DICOM files without an image were left out: {kinds}{contours}",) if kinds else ()
         return found, left_out
     if without_pixels:

@@ -17,6 +17,7 @@ from pydicom.dataset import Dataset
 
 from limbcli.errors import CaseError
 from limbcli.files.dicom import DICOM_DAMAGED, read_dicom, require_affordable
+from limbcli.imaging.rtstruct import contour_masks
 from limbcli.imaging.volume import MOST_VOXELS, require_placed, require_unit_directions
 from limbcli.model import Array
 
@@ -40,27 +41,27 @@ class NamedMasks:
     is_label_map: bool = False
 
 
-def read_dicom_seg(path: Path) -> NamedMasks:
-    """Read the segments of a DICOM SEG file.
+def read_dicom_segments(path: Path) -> NamedMasks:
+    """Read the segments of a DICOM SEG file, or the structures of an RTSTRUCT.
 
-    Raises CaseError if the file is not a segmentation or lacks its geometry.
+    Raises CaseError if the file is neither or lacks its geometry.
     """
     try:
         dataset = read_dicom(path)
     except DICOM_DAMAGED as error:
         raise CaseError("the label map is not a DICOM file", where=str(path), fix=_FIX) from error
     try:
-        if str(dataset.get("Modality", "")) != "SEG":
-            modality = dataset.get("Modality", "absent")
-            fix = "[imaging] labels takes a DICOM SEG; an image series belongs in [imaging] mri"
-            if modality == "RTSTRUCT":
-                fix = "it holds contours: save them as a label map (.seg.nrrd) in 3D Slicer (SlicerRT)"
-            what = f"the DICOM file's Modality (0008,0060) is {modality}, not SEG"
+        modality = str(dataset.get("Modality", "absent"))
+        if modality == "RTSTRUCT":
+            return NamedMasks(*contour_masks(dataset, path))
+        if modality != "SEG":
+            fix = "[imaging] labels takes a DICOM SEG or RTSTRUCT; an image series belongs in [imaging] mri"
+            what = f"the DICOM file's Modality (0008,0060) is {modality}, not SEG or RTSTRUCT"
             raise CaseError(what, where=str(path), fix=fix)
         return _masks(dataset, path)
     except DICOM_DAMAGED as error:
         raise CaseError(
-            f"the DICOM SEG cannot be read ({type(error).__name__})", where=str(path), fix=_FIX
+            f"the DICOM {modality} cannot be read ({type(error).__name__})", where=str(path), fix=_FIX
         ) from error
 
 

@@ -20,7 +20,7 @@ from limbcli.case.schema import VOLUME_ENDINGS
 from limbcli.errors import CaseError
 from limbcli.errors.problems import shortened
 from limbcli.files.dicom import has_preamble
-from limbcli.imaging.dicom_seg import read_dicom_seg
+from limbcli.imaging.dicom_seg import read_dicom_segments
 from limbcli.imaging.label_frame import in_order_of, same_grid
 from limbcli.imaging.label_names import (
     OURS,
@@ -325,8 +325,8 @@ def _segments(path: Path) -> list[Segment]:
         raise CaseError(
             f"{path.name} is not in a format of label maps that is read",
             where=str(path),
-            fix=f"give a DICOM SEG, or a file that ends in {', '.join(VOLUME_ENDINGS)}; of a pair (.hdr, "
-            ".img) the .hdr; a mesh or contours: convert it in 3D Slicer or ITK-SNAP, with the image as "
+            fix=f"give a DICOM SEG or RTSTRUCT, or a file that ends in {', '.join(VOLUME_ENDINGS)}; of a "
+            "pair (.hdr, .img) the .hdr; a mesh: convert it in 3D Slicer or ITK-SNAP, with the image as "
             "reference",
         )
     if name.endswith(_NRRD):
@@ -378,7 +378,7 @@ def _by_number(volume: Volume, names: dict[int, str], path: Path) -> list[Segmen
 
 
 def _of_dicom(path: Path) -> list[Segment]:
-    found = read_dicom_seg(path)
+    found = read_dicom_segments(path)
 
     def layer(values: NDArray) -> Callable[[], Volume]:
         return lambda: Volume(values, found.affine)
@@ -446,7 +446,8 @@ def _of_folder(folder: Path) -> list[Segment]:
         raise CaseError(
             "the folder contains no label map",
             where=str(folder),
-            fix=f"give a folder with a file for each segment ({', '.join(VOLUME_ENDINGS)}), or one DICOM SEG",
+            fix=f"give a folder with a file for each segment ({', '.join(VOLUME_ENDINGS)}), or one DICOM SEG "
+            "or RTSTRUCT",
         )
     return [Segment(None, _stem(each), _mask_of(each), None) for each in masks]
 

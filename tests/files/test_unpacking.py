@@ -18,7 +18,7 @@ from pydicom.uid import DeflatedExplicitVRLittleEndian
 from limbcli.errors import LimbError
 from limbcli.files.unpacking import UnpackingBudget, read_npz
 from limbcli.imaging.dicom import read_series
-from limbcli.imaging.dicom_seg import read_dicom_seg
+from limbcli.imaging.dicom_seg import read_dicom_segments
 from limbcli.imaging.fibre_map import read_fibre_map
 from limbcli.imaging.image_files import read_image
 from limbcli.imaging.label_files import read_label_file
@@ -114,13 +114,13 @@ def test_damaged_deflated_dicom_is_refused(tmp_path: Path) -> None:
         read_series(tmp_path)
 
 
-@pytest.mark.parametrize("read", [lambda path: read_series(path.parent), read_dicom_seg, read_picture])
+@pytest.mark.parametrize("read", [lambda path: read_series(path.parent), read_dicom_segments, read_picture])
 def test_pixels_of_a_packed_dicom_are_counted_before_they_are_decoded(tmp_path: Path, read) -> None:
     make_dicom("MR_small_RLE.dcm")(tmp_path)
     for path in tmp_path.glob("*.dcm"):
         dataset = pydicom.dcmread(path)
         dataset.Rows = dataset.Columns = 60_000
-        if read is read_dicom_seg:
+        if read is read_dicom_segments:
             dataset.Modality = "SEG"
         dataset.save_as(path)
     with pytest.raises(LimbError) as caught:

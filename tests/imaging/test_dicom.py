@@ -100,7 +100,7 @@ def test_contours_beside_the_images_are_told(ramp, tmp_path):
     extra.save_as(tmp_path / "rtss.dcm")
     series = read_series(tmp_path)
     assert series.facts["n_slices"] == 5
-    assert any("1 RTSTRUCT; contours are not read" in note for note in series.notes)
+    assert any("1 RTSTRUCT; to use the contours, give the file as" in note for note in series.notes)
 
 
 def test_a_series_uid_per_image_is_one_series_with_a_note(ramp, tmp_path):
