@@ -148,8 +148,8 @@ def clearance(face: Triangles, skin: Triangles, line: CentreLine, *, where: str 
         k = int(np.argmax(through))
         place = ", ".join(f"{each:.0f}" for each in skin.points[points[k]])
         raise MeshError(
-            f"the socket's wall lies {-found.distances[k]:.0f} mm inside the limb at ({place}), more than "
-            f"{_DEEPEST * room[k]:.0f} mm, which donning can resolve",
+            f"the socket's wall lies {-found.distances[k]:.0f} mm inside the limb at ({place}) of its "
+            f"upright frame, more than {_DEEPEST * room[k]:.0f} mm, which donning can resolve",
             where=where,
             fix="check the alignment, and that the socket belongs to this limb",
             depth_mm=float(-found.distances[k]),
@@ -170,7 +170,7 @@ def check_room(before: Clearance, skin: Triangles, thickness: float) -> None:
         place = ", ".join(f"{each:.0f}" for each in skin.points[before.points[k]])
         raise MeshError(
             f"the liner of {thickness:g} mm is thicker than the gap of {gap:.1f} mm between skin and socket "
-            f"at ({place}): less than half of it would be left",
+            f"at ({place}) of the limb's upright frame: less than half of it would be left",
             where="[socket.liner]",
             fix="check its thickness and the alignment; a socket scanned over its liner needs none",
             gap_mm=gap,

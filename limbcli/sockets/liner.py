@@ -146,8 +146,8 @@ def _refuse_folds(points: Array, cells: IntArray, thickness: float) -> None:
     if (folded := np.flatnonzero(volumes(points, cells) <= 0)).size:
         place = points[cells[folded[0], :4]].mean(axis=0)
         raise MeshError(
-            f"the liner of {thickness:g} mm would fold at ({', '.join(f'{each:.0f}' for each in place)}): "
-            f"{len(folded)} elements turn over",
+            f"the liner of {thickness:g} mm would fold at ({', '.join(f'{each:.0f}' for each in place)}) "
+            f"of the limb's upright frame: {len(folded)} elements turn over",
             where="[socket.liner]",
             fix="give a thinner liner, or a smoother skin",
             n_folded=len(folded),
