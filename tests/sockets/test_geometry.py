@@ -135,6 +135,14 @@ def test_a_knee_centre_outside_the_limb_is_refused(centre: tuple[float, float, f
     assert "patient LPS" in caught.value.fix
 
 
+def test_skin_above_a_brim_of_uneven_height_lies_neither_inside_nor_outside_the_wall() -> None:
+    whole = stump(grow=1.0).flipped()
+    trimmed = whole.part(whole.centroids[:, 2] < 80.0 + 0.7 * whole.centroids[:, 0])
+    found = clearance(trimmed, SKIN, LINE)
+    assert found.deepest_mm == 0.0
+    assert found.widest_mm < 2.0
+
+
 def test_clearance_is_positive_where_there_is_room() -> None:
     loose = clearance(stump(grow=3.0, top=110.0).flipped(), SKIN, LINE)
     tight = clearance(stump(grow=-3.0, top=110.0).flipped(), SKIN, LINE)
