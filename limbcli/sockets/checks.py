@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.errors import MeshError
 from limbcli.meshing.mending import open_rims
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, boundary_loops
 from limbcli.model import Array, IntArray
 from limbcli.numbers.units import LENGTH_UNITS_IN_MM
 from limbcli.sockets.centre_line import CentreLine
@@ -23,6 +24,7 @@ _SLAB_MM = 10.0
 # Beyond it a facet's normal no longer meets the wall on its own side.
 _DEEPEST = 0.35
 _HOLE = 0.1  # of a face's extent: a larger hole besides its opening is refused
+_ON_MM = 1e-6
 _MOST_SQUEEZED = 0.5  # of a liner's thickness: less room than this is refused
 
 
@@ -138,9 +140,8 @@ def clearance(face: Triangles, skin: Triangles, line: CentreLine, *, where: str 
     height = line.height(face.points)
     h = line.height(skin.points)
     near = NearestPoints(face)
-    nearest, _ = near.of(skin.points)
-    at_brim = line.height(nearest) < height.min() + 1.0  # beyond the brim there is no wall
-    points = np.flatnonzero((h >= height.min()) & ~(at_brim & (h < line.height(nearest))))
+    beyond = _on_rim(face, *near.of(skin.points))  # of a brim at any height, or a hole: there is no wall
+    points = np.flatnonzero((h >= height.min()) & ~beyond)
     found = Clearance(points, near.clearances(skin.points[points]))
     room = np.linalg.norm(skin.points[points] - line.nearest(skin.points[points]), axis=1)
     through = -found.distances - _DEEPEST * room
@@ -148,13 +149,28 @@ def clearance(face: Triangles, skin: Triangles, line: CentreLine, *, where: str 
         k = int(np.argmax(through))
         place = ", ".join(f"{each:.0f}" for each in skin.points[points[k]])
         raise MeshError(
-            f"the socket's wall lies {-found.distances[k]:.0f} mm inside the limb at ({place}), more than "
-            f"{_DEEPEST * room[k]:.0f} mm, which donning can resolve",
+            f"the socket's wall lies {-found.distances[k]:.0f} mm inside the limb at ({place}) of its "
+            f"upright frame, more than {_DEEPEST * room[k]:.0f} mm, which donning can resolve",
             where=where,
             fix="check the alignment, and that the socket belongs to this limb",
             depth_mm=float(-found.distances[k]),
         )
     return found
+
+
+def _on_rim(face: Triangles, points: Array, facets: IntArray) -> NDArray[np.bool_]:
+    """Which points (n, 3) of a face, on its facets (n,), lie on its open rims."""
+    on = np.zeros(len(points), bool)
+    loops = boundary_loops(face)
+    if not loops:
+        return on
+    begin, end = np.concatenate(loops), np.concatenate([np.roll(each, -1) for each in loops])
+    near = np.flatnonzero(np.isin(face.faces[facets], begin).any(axis=1))
+    a, side = face.points[begin], face.points[end] - face.points[begin]
+    away = points[near, None] - a
+    share = np.clip((away * side).sum(axis=2) / (side**2).sum(axis=1), 0.0, 1.0)
+    on[near] = np.linalg.norm(away - share[:, :, None] * side, axis=2).min(axis=1) < _ON_MM
+    return on
 
 
 def check_room(before: Clearance, skin: Triangles, thickness: float) -> None:
@@ -170,7 +186,7 @@ def check_room(before: Clearance, skin: Triangles, thickness: float) -> None:
         place = ", ".join(f"{each:.0f}" for each in skin.points[before.points[k]])
         raise MeshError(
             f"the liner of {thickness:g} mm is thicker than the gap of {gap:.1f} mm between skin and socket "
-            f"at ({place}): less than half of it would be left",
+            f"at ({place}) of the limb's upright frame: less than half of it would be left",
             where="[socket.liner]",
             fix="check its thickness and the alignment; a socket scanned over its liner needs none",
             gap_mm=gap,

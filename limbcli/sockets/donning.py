@@ -457,7 +457,8 @@ def _explained(error: SolveError, n_states: int, options: DonningOptions) -> Sol
     if n_states:
         fix = (
             "use more load steps or a smaller load: the limb may slide on into the socket, or out of it, "
-            "where neither its shape nor friction holds it; near the brim, flare it more (flare_mm)"
+            "where neither its shape nor friction holds it; near the brim, flare it more "
+            "(flare_mm of a socket made from the skin)"
         )
     if options.liner_slides and not max(options.friction, options.skin_friction):
         fix = (

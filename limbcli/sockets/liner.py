@@ -116,7 +116,8 @@ def _curved(
 ) -> tuple[Array, IntArray, IntArray]:
     """Points with middle nodes, tet10 cells (n, 10) and the outer tri6 facets (n_facets, 6).
 
-    The skin keeps its own middle nodes; those on top of them are moved by as much as their ends on average.
+    The skin keeps its own middle nodes; those of all edges above an edge of the skin, also of those through
+    the layer, are curved as it is: straight ones would turn cells over where the skin is strongly curved.
     """
     n = len(points)
     ends = np.concatenate([np.sort(cells[:, list(pair)], axis=1) for pair in _EDGES])
@@ -128,7 +129,15 @@ def _curved(
     of_outer = which[len(ends) + len(on_skin) :]
     middle = 0.5 * (points[every[:, 0]] + points[every[:, 1]])
     skin_middles = facets[:, 3:].T.ravel()
-    middle[of_outer] += points[skin_middles] - middle[of_skin]  # as curved as the skin below
+    below = np.arange(n)
+    below[outer] = facets[:, :3]
+    foot = np.sort(below[every], axis=1)
+    leaning = foot[:, 0] != foot[:, 1]  # the others stand on a corner
+    first, second = every.T  # in ascending order
+    on = np.searchsorted(first * n + second, foot[leaning] @ np.array([n, 1]))
+    bulge = np.zeros_like(middle)
+    bulge[of_skin] = points[skin_middles] - middle[of_skin]
+    middle[leaning] += bulge[on]
     numbers = np.full(len(every), -1, dtype=np.int64)
     numbers[of_skin] = skin_middles
     new = numbers < 0
@@ -146,8 +155,8 @@ def _refuse_folds(points: Array, cells: IntArray, thickness: float) -> None:
     if (folded := np.flatnonzero(volumes(points, cells) <= 0)).size:
         place = points[cells[folded[0], :4]].mean(axis=0)
         raise MeshError(
-            f"the liner of {thickness:g} mm would fold at ({', '.join(f'{each:.0f}' for each in place)}): "
-            f"{len(folded)} elements turn over",
+            f"the liner of {thickness:g} mm would fold at ({', '.join(f'{each:.0f}' for each in place)}) "
+            f"of the limb's upright frame: {len(folded)} elements turn over",
             where="[socket.liner]",
             fix="give a thinner liner, or a smoother skin",
             n_folded=len(folded),

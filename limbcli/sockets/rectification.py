@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from limbcli.errors import CaseError, MeshError
-from limbcli.meshing.surfaces import Triangles
+from limbcli.meshing.surfaces import Triangles, merge_points
 from limbcli.model import Array, IntArray
 
 # No published table of rectifications has been read in full: the skin's own shape is what is chosen.
@@ -18,6 +18,7 @@ CHOSEN = "no rectification was given: the socket has the shape of the skin (0 mm
 # is rounded. Chosen. Skin that bulges over the brim leaves it by and by: off the end of a wall it loses its
 # traction at once, and no equilibrium may be left.
 LIP_MM, _LIP_RADIUS_MM = 10.0, 6.0
+_PARTS = 4  # of a curved edge: leaves a sixteenth of what it bulges
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,6 +47,30 @@ class Rectification:
             return CHOSEN
         parts = [f"{name} {mm:+g} mm" for name, mm in changed.items()]
         return f"the skin moved inward by {self.all_mm:g} mm" + (f"; {', '.join(parts)}" if parts else "")
+
+
+def along_curves(points: Array, facets: IntArray) -> Triangles:
+    """Facets of a mesh as flat triangles: a tri3 (n, 3) as it is, a tri6 (n, 6) as `_PARTS`**2 triangles
+    whose corners lie on it. The parts of a facet follow each other, in the facets' order.
+
+    A wall through a facet's corners alone would press on what bulges between them: 1 mm where edges of 20 mm
+    bend around 50 mm, as much as sockets are tight.
+    """
+    if facets.shape[1] == 3:
+        used, faces = np.unique(facets, return_inverse=True)
+        return Triangles(points[used], faces.reshape(-1, 3).astype(np.int64))
+    n = _PARTS
+    places = [(i, j) for i in range(n + 1) for j in range(n + 1 - i)]
+    number = {place: k for k, place in enumerate(places)}
+    up = [((i, j), (i + 1, j), (i, j + 1)) for i, j in places if i + j < n]
+    down = [((i + 1, j), (i + 1, j + 1), (i, j + 1)) for i, j in places if i + j < n - 1]
+    parts = np.array([[number[place] for place in each] for each in up + down])
+    r, s = np.array(places).T / n
+    t = 1.0 - r - s
+    shapes = np.stack([t * (2 * t - 1), r * (2 * r - 1), s * (2 * s - 1), 4 * t * r, 4 * r * s, 4 * s * t])
+    on = np.einsum("ap,fai->fpi", shapes, points[facets])
+    faces = parts + len(places) * np.arange(len(facets))[:, None, None]
+    return merge_points(Triangles(on.reshape(-1, 3), faces.reshape(-1, 3)))
 
 
 def rectified(
@@ -109,8 +134,8 @@ def rectified(
     if (turned & kept).any():
         place = skin.centroids[np.flatnonzero(turned & kept)[0]]
         raise MeshError(
-            f"the socket would fold at ({', '.join(f'{each:.0f}' for each in place)}): "
-            f"{int((turned & kept).sum())} facets turn over",
+            f"the socket would fold at ({', '.join(f'{each:.0f}' for each in place)}) of the "
+            f"limb's upright frame: {int((turned & kept).sum())} facets turn over",
             where=where,
             fix="make the rectification there smaller, or the transition wider",
         )

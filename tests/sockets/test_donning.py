@@ -312,6 +312,13 @@ def test_a_load_that_nothing_holds_says_what_it_was() -> None:
     assert "out of it" in caught.value.fix
 
 
+def test_a_failure_under_a_load_says_up_to_which_time_there_is_a_solution() -> None:
+    """The force on the socket falls from that of donning, so that it does not tell how far the load came."""
+    pulled_off = replace(OPTIONS, loads_n=(3.0,), donning_steps=4, load_steps=1, sign=-1.0)
+    with pytest.raises(SolveError, match=r"there is a solution up to time 1\.\d+, force"):
+        don_and_load(limb(), face(), pulled_off, threads=1)
+
+
 def test_a_socket_that_touches_nowhere_says_so() -> None:
     with pytest.raises(MeshError, match="touches the skin nowhere"):
         don_and_load(limb(), face(tight=-1.0), replace(OPTIONS, donning_steps=1, friction=0.0), threads=1)

@@ -17,7 +17,7 @@ from limbcli.sockets.checks import check_around, check_near, check_openings, che
 from limbcli.sockets.inner_face import inner_face
 from limbcli.sockets.knee import check_knee
 from limbcli.sockets.nearest import NearestPoints, on_triangles
-from limbcli.sockets.rectification import CHOSEN, Rectification, rectified
+from limbcli.sockets.rectification import CHOSEN, Rectification, along_curves, rectified
 
 SKIN = stump()
 LINE = centre_line(SKIN, DOWN)
@@ -135,6 +135,14 @@ def test_a_knee_centre_outside_the_limb_is_refused(centre: tuple[float, float, f
     assert "patient LPS" in caught.value.fix
 
 
+def test_skin_above_a_brim_of_uneven_height_lies_neither_inside_nor_outside_the_wall() -> None:
+    whole = stump(grow=1.0).flipped()
+    trimmed = whole.part(whole.centroids[:, 2] < 80.0 + 0.7 * whole.centroids[:, 0])
+    found = clearance(trimmed, SKIN, LINE)
+    assert found.deepest_mm == 0.0
+    assert found.widest_mm < 2.0
+
+
 def test_clearance_is_positive_where_there_is_room() -> None:
     loose = clearance(stump(grow=3.0, top=110.0).flipped(), SKIN, LINE)
     tight = clearance(stump(grow=-3.0, top=110.0).flipped(), SKIN, LINE)
@@ -245,6 +253,21 @@ def test_folds_and_unknown_patches_are_refused() -> None:
         rectified(SKIN, patches, Rectification(patches_mm={"back": 1.0}), DOWN)
     with pytest.raises(MeshError, match="fold"):
         rectified(SKIN, patches, Rectification(patches_mm={}, all_mm=75.0), DOWN)
+
+
+def test_the_wall_follows_the_curves_between_the_corners_of_a_facet() -> None:
+    """Facets on a cylinder of 50 mm, 20 mm long: flat ones would lie 1 mm inside it."""
+
+    def on_cylinder(plan):
+        x, y = np.array(plan, float).T
+        return np.stack([50 * np.sin(x / 50), y, 50 * np.cos(x / 50)], axis=1)
+
+    plan = [[0, 0], [20, 0], [0, 20], [10, 0], [10, 10], [0, 10], [20, 20], [20, 10], [10, 20]]
+    surface = along_curves(on_cylinder(plan), np.array([[0, 1, 2, 3, 4, 5], [6, 2, 1, 8, 4, 7]]))
+    radius = np.hypot(surface.centroids[:, 0], surface.centroids[:, 2])
+    assert np.abs(radius - 50).max() < 0.1
+    assert len(surface.points) == 25, "what two facets share is one"
+    assert (surface.area_vectors[:, 2] > 0).all()
 
 
 def test_the_nearest_point_is_within_on_a_side_or_at_a_corner() -> None:

@@ -11,6 +11,7 @@ from stumps import DOWN, stump
 
 from limbcli.errors import MeshError, SolveError
 from limbcli.fem.system import System
+from limbcli.meshing.quality import scaled_jacobians
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import LimbModel, Mesh, Surface
 from limbcli.progress import Progress
@@ -59,6 +60,18 @@ def test_one_that_slides_has_nodes_of_its_own_just_inside_the_skin(kind: str) ->
     assert {len(np.unique(np.round(each.mesh.points, 1), axis=0)) for each in (bonded, free)} == {
         len(bonded.mesh.points)
     }
+
+
+@pytest.mark.parametrize("bonded", [True, False])
+def test_a_thin_one_is_as_curved_as_strongly_curved_skin(bonded: bool) -> None:
+    """Edges of 4 mm that bulge by 0.8 mm, under 1 mm of liner."""
+    base = block("tet10", (3, 3, 2), (12.0, 12.0, 6.0), material=SOFT.material)
+    facets = top_facets(base)
+    points = base.mesh.points.copy()
+    points[np.unique(next(iter(facets.values()))[:, 3:]), 2] += 0.8
+    mesh = replace(base.mesh, points=points, surfaces={"skin": Surface("skin", facets)})
+    made = with_liner(replace(base, mesh=mesh), replace(SOFT, thickness=1.0, bonded=bonded)).mesh
+    assert scaled_jacobians(made.points, made.block(LINER).cells).min() > 0
 
 
 def test_its_facets_lie_over_the_skins_in_the_same_order() -> None:

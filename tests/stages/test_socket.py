@@ -18,6 +18,7 @@ from limbcli.case import Case
 from limbcli.case.socket import KneeInput, LinerInput, SocketInput
 from limbcli.errors import CaseError, MeshError, SolveError
 from limbcli.feb.read import read_feb
+from limbcli.meshing.elements import with_element
 from limbcli.meshing.surfaces import Triangles, read_surface
 from limbcli.model import LimbModel, Mesh
 from limbcli.model.bodies import Contact
@@ -25,6 +26,7 @@ from limbcli.model.npz_file import load_model
 from limbcli.progress import SILENT
 from limbcli.provenance.staleness import Chain
 from limbcli.results import read_result
+from limbcli.sockets.nearest import NearestPoints
 from limbcli.stages.in_socket.intervals import drawn_values, pressure_intervals
 from limbcli.stages.in_socket.limb_in_socket import put_together
 from limbcli.stages.in_socket.patch_table import WHOLE, PatchPressure
@@ -180,6 +182,26 @@ def test_the_lip_above_a_brim_is_not_taken_for_a_socket_at_the_cut(limb_made, tm
         put_together(model, replace(usual, brim=brim), writer)
         told.append(any("of the proximal cut" in each for each in writer.warnings))
     assert told == [False, True]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("liner", [None, LinerInput(thickness=3.0, youngs_modulus=0.3, poisson=0.45)])
+def test_a_socket_of_the_skins_own_shape_does_not_press_on_its_curves(limb_made, tmp_path: Path, liner):
+    model = with_element(load_model(limb_made[1] / "limb" / "model.npz"), "tet10")
+    facets = model.mesh.surfaces["skin"].facets["tri6"]
+    points, corners = model.mesh.points.copy(), facets[:, :3]
+    skin = Triangles(points, corners)
+    outward = skin.point_normals[corners] + skin.point_normals[np.roll(corners, -1, axis=1)]
+    middles, which = np.unique(facets[:, 3:], return_index=True)
+    points[middles] += 0.4 * outward.reshape(-1, 3)[which] / 2
+    model = replace(model, mesh=replace(model.mesh, points=points))
+    given = replace(with_surface(stump()["skin"], tmp_path / "skin.ply"), surface=None, liner=liner)
+    found = put_together(model, given, SimpleNamespace(warnings=[]))
+    outer = found.limb.mesh.surfaces[found.touching].facets["tri6"][:, 3:]
+    middles = found.limb.mesh.points[np.unique(outer)]
+    below = middles[middles[:, 2] < found.face.points[:, 2].max() - 15.0]
+    assert np.abs(NearestPoints(found.face).clearances(below)).max() < 0.05
+    assert found.fit.deepest_mm < 0.05
 
 
 @pytest.mark.slow

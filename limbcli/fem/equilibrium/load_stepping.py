@@ -295,6 +295,8 @@ class LoadStepping:
         what = error.what if isinstance(error, NotConverged) else f"{place}: {error.what}"
         depth = newton.depth(last)
         words = newton.reached(last)
+        if words and depth is None:  # a force need not grow with time
+            words = f"time {last.time:.4g}, {words}"
         reported = f"; there is a solution up to {words}" if n_reached and words else ""
         cause = "a part of the tissue, or a rigid body, can move freely"
         fix = error.fix

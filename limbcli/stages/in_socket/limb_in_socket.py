@@ -6,13 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from limbcli.case.socket import KneeInput, SocketInput
 from limbcli.errors import CaseError
 from limbcli.meshing.limb_parts import LimbFrame
 from limbcli.meshing.surfaces import Triangles, merge_points, read_surface
 from limbcli.meshing.whole_limb import HELD
-from limbcli.model import Array, IntArray, LimbModel
+from limbcli.model import Array, LimbModel
 from limbcli.results import StageWriter
 from limbcli.sockets.alignment import Alignment, align, by_landmarks, mirror_image_warning
 from limbcli.sockets.centre_line import CentreLine, centre_line, own_line
@@ -27,8 +28,8 @@ from limbcli.sockets.checks import (
 )
 from limbcli.sockets.inner_face import inner_face
 from limbcli.sockets.knee import KneeLoad, check_knee, knee_centre
-from limbcli.sockets.liner import LINER, Liner, grown, with_liner
-from limbcli.sockets.rectification import LIP_MM, Rectification, rectified
+from limbcli.sockets.liner import LINER, Liner, with_liner
+from limbcli.sockets.rectification import LIP_MM, Rectification, along_curves, rectified
 
 TO_TIP = np.array([0.0, 0.0, -1.0])
 PATCH, _LANDMARK, _TIBIA = "patch_", "landmark_", "bone_tibia"
@@ -38,7 +39,7 @@ _NEAR_CUT_MM = 15.0  # the held cut disturbs the pressures this far
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LimbInSocket:
-    """limb : upright; skin : its facets without unused points, `points` their numbers in the model
+    """limb : upright; skin : its facets, flat between their corners
 
     face : inner face, normals towards the limb; fit : clearances before donning
     alignment : None where the surface was not moved; words : what the socket is
@@ -50,7 +51,6 @@ class LimbInSocket:
     limb: LimbModel
     frame: LimbFrame
     skin: Triangles
-    points: IntArray
     face: Triangles
     fit: Clearance
     words: str
@@ -94,14 +94,22 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
     )
     mesh = replace(model.mesh, points=frame.upright(model.mesh.points))
     limb = replace(model, mesh=mesh, bodies=bodies)
-    facets = next(iter(limb.mesh.surfaces["skin"].facets.values()))[:, :3]
-    points = np.unique(facets)
-    skin = Triangles(limb.mesh.points[points], np.searchsorted(points, facets).astype(np.int64))
+    skin = along_curves(limb.mesh.points, next(iter(limb.mesh.surfaces["skin"].facets.values()))[:, :3])
     line = centre_line(skin, TO_TIP)
-    outside = skin if given.liner is None else grown(skin, given.liner.thickness)
+    bare, touching, of_liner = _curved(limb, "skin"), "skin", ""
+    if given.liner is not None:
+        liner = given.liner
+        made = Liner(
+            thickness=liner.thickness, youngs_modulus=liner.youngs_modulus, poisson=liner.poisson,
+            bonded=liner.bonded,
+        )  # fmt: skip
+        limb, touching = with_liner(limb, made), LINER
+        how = "is bonded to" if liner.bonded else "slides on"
+        of_liner = f"; a liner of {liner.thickness:g} mm {how} the skin"
+    outside = _curved(limb, touching)
     alignment = None
     if given.surface is None:
-        face, words = _from_skin(limb, outside, points, given)
+        face, words = _from_skin(limb, outside, given)
     else:
         face, alignment = _from_file(limb, frame, outside, line, given, writer)
         words = f"inner face of {given.surface.name}"
@@ -110,21 +118,12 @@ def put_together(model: LimbModel, given: SocketInput, writer: StageWriter) -> L
     fit = clearance(face, outside, line, where=where)
     lip = LIP_MM if given.surface is None and given.flare else 0.0
     _warn_at_cut(limb, face, lip, writer)
-    touching = "skin"
-    if given.liner is not None:
-        if given.surface is not None:
-            check_room(clearance(face, skin, line, where=where), skin, given.liner.thickness)
-        liner = given.liner
-        how = "is bonded to" if liner.bonded else "slides on"
-        words += f"; a liner of {liner.thickness:g} mm {how} the skin"
-        made = Liner(
-            thickness=liner.thickness, youngs_modulus=liner.youngs_modulus, poisson=liner.poisson,
-            bonded=liner.bonded,
-        )  # fmt: skip
-        limb, touching = with_liner(limb, made), LINER
+    if given.liner is not None and given.surface is not None:
+        check_room(clearance(face, bare, line, where=where), bare, given.liner.thickness)
     knee = None if given.knee is None else _knee_load(limb, frame, line, given.knee)
     return LimbInSocket(
-        limb=limb, frame=frame, skin=skin, points=points, face=face, fit=fit, words=words,
+        limb=limb, frame=frame, skin=skin, face=face, fit=fit,
+        words=words + of_liner,
         alignment=alignment, touching=touching, knee=knee,
         slides=given.liner is not None and not given.liner.bonded,
     )  # fmt: skip
@@ -168,9 +167,27 @@ def _top(limb: LimbModel) -> float:
     return float(limb.mesh.points[nodes, 2].min())
 
 
-def _from_skin(
-    limb: LimbModel, skin: Triangles, points: IntArray, given: SocketInput
-) -> tuple[Triangles, str]:
+def facets_of_patches(limb: LimbModel) -> dict[str, NDArray[np.bool_]]:
+    """By patch, which facets (n_facets,) of the skin belong to it."""
+    skin = next(iter(limb.mesh.surfaces["skin"].facets.values()))
+    rows = {tuple(sorted(each)): k for k, each in enumerate(skin[:, :3].tolist())}
+    masks = {}
+    for name, surface in limb.mesh.surfaces.items():
+        if name.startswith(PATCH):
+            mask = np.zeros(len(skin), bool)
+            own = next(iter(surface.facets.values()))[:, :3].tolist()
+            mask[[rows[tuple(sorted(each))] for each in own]] = True
+            masks[name.removeprefix(PATCH)] = mask
+    return masks
+
+
+def _curved(limb: LimbModel, name: str) -> Triangles:
+    """A surface of the limb with its curves."""
+    return along_curves(limb.mesh.points, next(iter(limb.mesh.surfaces[name].facets.values())))
+
+
+def _from_skin(limb: LimbModel, outside: Triangles, given: SocketInput) -> tuple[Triangles, str]:
+    """outside : of skin or liner, its triangles in the order of the skin's facets"""
     top = _top(limb)
     brim = top - _BELOW_CUT_MM if given.brim is None else given.brim
     if brim > top:
@@ -185,13 +202,9 @@ def _from_skin(
         brim_mm=-brim,
         flare_mm=given.flare,
     )
-    # by patch, the numbers of its corners among the skin's `points`
-    found = {}
-    for name, surface in limb.mesh.surfaces.items():
-        if name.startswith(PATCH):
-            nodes = np.unique(next(iter(surface.facets.values()))[:, :3])
-            found[name.removeprefix(PATCH)] = np.searchsorted(points, nodes)
-    face = rectified(skin, found, table, TO_TIP, where="[socket]")
+    patches = facets_of_patches(limb)
+    found = {name: np.unique(outside.faces.reshape(len(own), -1)[own]) for name, own in patches.items()}
+    face = rectified(outside, found, table, TO_TIP, where="[socket]")
     return (
         face,
         f"made from the skin up to {brim:.0f} mm, flared by {given.flare:g} mm there: {table.sentence}",

@@ -20,21 +20,14 @@ from limbcli.model import Array, LimbModel
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.sockets.donning import SocketState
 from limbcli.stages.in_socket.intervals import QUANTITIES, WHOLE, Interval, PatchPressure
-from limbcli.stages.in_socket.limb_in_socket import PATCH, LimbInSocket, lateral_of
+from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, facets_of_patches, lateral_of
 
 
 def patch_masks(limb: LimbModel) -> dict[str, NDArray[np.bool_]]:
     """By patch, which facets (n_facets,) of the skin belong to it; last the whole skin."""
-    skin = next(iter(limb.mesh.surfaces["skin"].facets.values()))
-    rows = {tuple(sorted(each)): k for k, each in enumerate(skin[:, :3].tolist())}
-    masks = {}
-    for name, surface in limb.mesh.surfaces.items():
-        if name.startswith(PATCH):
-            mask = np.zeros(len(skin), bool)
-            own = next(iter(surface.facets.values()))[:, :3].tolist()
-            mask[[rows[tuple(sorted(each))] for each in own]] = True
-            masks[name.removeprefix(PATCH)] = mask
-    return {**masks, WHOLE: np.ones(len(skin), bool)}
+    masks = facets_of_patches(limb)
+    n_facets = sum(map(len, limb.mesh.surfaces["skin"].facets.values()))
+    return {**masks, WHOLE: np.ones(n_facets, bool)}
 
 
 def patch_rows(
