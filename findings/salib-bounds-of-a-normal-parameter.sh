@@ -1,11 +1,13 @@
 #!/bin/sh
 # SALib 1.6.0: the sum of two normally distributed parameters, given as the package wants them, `bounds` of
 # mean and standard deviation: 5 +- 4 and 20 +- 1. The first makes 94 % of the variance.
-# Guess: `dgsm` is what its result says, an upper bound of the total index, which of a normal parameter is
-#        its derivative squared times its variance over the output's: 0.94 and 0.06 of this sum.
+# Guess: `dgsm` is the upper bound of the total index that its sources give (Sobol and Kucherenko 2009 and
+#        2010), of a normal parameter its mean squared derivative times its variance over the output's: here
+#        0.94 and 0.06.
 # Seen:  0.006 and 2.2: mean and standard deviation are taken as the ends of a range. The bound is below the
 #        total index that the package's own `sobol` finds, the order of the parameters is reversed, and moving
-#        both means by 50 makes it 16 and 28. Uniform parameters are right (the bound is 1.2 times the index). No word is said.
+#        both means by 50 makes it 16 and 28. Of uniform parameters it is right, 1.2 times the index. No word
+#        is said.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)

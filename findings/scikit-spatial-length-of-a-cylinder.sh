@@ -25,6 +25,6 @@ for name, kept in (("all round", height >= 0), ("without the upper back", (np.co
     cylinder = Cylinder.best_fit(points[kept])
     ends = sorted(float(z) for z in (cylinder.point[2], cylinder.point[2] + cylinder.vector[2]))
     seen[name] = [round(each) for each in (*ends, cylinder.length(), cylinder.radius)]
-    print(f"{name}: from {ends[0]:.1f} to {ends[1]:.1f} mm, {cylinder.length():.1f} mm long, radius {cylinder.radius:.1f}")
+    print(f"{name}: from {ends[0]:.1f} to {ends[1]:.1f} mm, radius {cylinder.radius:.1f}")
 sys.exit(seen != {"all round": [0, 100, 100, 40], "without the upper back": [-17, 100, 117, 40]})
 PYTHON
