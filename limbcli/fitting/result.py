@@ -18,11 +18,12 @@ from limbcli.fitting.laws import LOCKING
 from limbcli.fitting.table import NAMES, Identified, counted_deviation, step_agreement, step_table
 from limbcli.inference.adaptive import Intervals
 from limbcli.inference.agreement import ORDER, speed_agreement, tissue_agreement
-from limbcli.inference.geometry_uncertainty import at_depths, ends
+from limbcli.inference.geometry_uncertainty import ends
 from limbcli.inference.monotone_interpolation import pchip_sample
 from limbcli.inference.two_step_fit import MOONEY_RIVLIN, OGDEN, sensitivities
 from limbcli.model import LimbModel
 from limbcli.numbers.interval_limits import Flag
+from limbcli.numbers.modes import at_depths
 from limbcli.numbers.significant_digits import short
 from limbcli.numbers.units import kpa_from_mpa
 from limbcli.reporting.figures.force_depth import MeasuredCurve, SimulatedCurve, force_depth

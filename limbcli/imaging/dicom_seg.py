@@ -50,6 +50,7 @@ def read_dicom_segments(path: Path) -> NamedMasks:
         dataset = read_dicom(path)
     except DICOM_DAMAGED as error:
         raise CaseError("the label map is not a DICOM file", where=str(path), fix=_FIX) from error
+    modality = "segmentation"
     try:
         modality = str(dataset.get("Modality", "absent"))
         if modality == "RTSTRUCT":

@@ -17,16 +17,6 @@ from limbcli.inference.profile import Profile
 from limbcli.model import Array
 
 
-def at_depths(modes: Array, knots: Array, depth: Array) -> Array:
-    """Modes (n_modes, n_knots) of ln force interpolated at measured depths (n,): (n, n_modes); constant
-    before the first knot.
-
-    >>> at_depths(np.array([[0.1, 0.3]]), np.array([1.0, 3.0]), np.array([0.5, 2.0])).ravel()
-    array([0.1, 0.2])
-    """
-    return np.stack([np.interp(depth, knots, each) for each in modes], axis=1)
-
-
 def shifts(columns: Array, moved: Array) -> Array:
     """Change of ln theta (n_modes, p) of a least-squares fit by each mode; columns (n, p) : d force / d ln
     theta, moved (n, n_modes) : N

@@ -15,12 +15,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from limbcli.inference.adaptive import Intervals, adaptive_profiles
-from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.likelihood import ForceBlock, Likelihood, Place
 from limbcli.inference.parameter import FitParameter
 from limbcli.inference.surrogate import Emulator
 from limbcli.inference.two_step_fit import CurveMatch, search_parameters
 from limbcli.model import Array
+from limbcli.numbers.modes import at_depths
 from limbcli.progress import SILENT, Progress
 
 _LEAST_LOG_DEVIATION = 1e-4  # lower limit of the standard deviation of ln c or ln gain

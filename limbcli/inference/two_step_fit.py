@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.errors import FitError
-from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.inference.identifiability import force_variance
 from limbcli.inference.least_squares import Fit, Guide, least_squares_fit
 from limbcli.inference.monotone_interpolation import Sample, pchip_sample
@@ -26,6 +25,7 @@ from limbcli.inference.prediction import (
 )
 from limbcli.inference.surrogate import Emulator
 from limbcli.model import Array
+from limbcli.numbers.modes import at_depths
 from limbcli.progress import SILENT, Progress
 
 F_KAPPA, M = 0, 1

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from limbcli.inference.adaptive import Intervals
-from limbcli.inference.geometry_uncertainty import at_depths, no_narrower, shifts
+from limbcli.inference.geometry_uncertainty import no_narrower, shifts
 from limbcli.inference.profile import Profile
+from limbcli.numbers.modes import at_depths
 
 
 def test_a_mode_like_a_parameter_moves_that_parameter_alone(rng):

@@ -46,9 +46,9 @@ from limbcli.effects.far_side import FAR_SIDE, far_side
 from limbcli.effects.tissue import core, with_core
 from limbcli.effects.turn import TURN
 from limbcli.errors import LimbError
-from limbcli.inference.geometry_uncertainty import at_depths
 from limbcli.measurement.indentation import Levels
 from limbcli.model import Array, LimbModel
+from limbcli.numbers.modes import at_depths
 from limbcli.numbers.significant_digits import short
 from limbcli.progress import Progress
 from limbcli.results import data_if_there
