@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from limbcli.errors import SolveError
+from limbcli.fem.contacts.facet_tree import FacetTree
 from limbcli.fem.contacts.friction import FrictionPair
 from limbcli.fem.contacts.pairs import Pair, rim_widths
 from limbcli.fem.contacts.patch import Patch
@@ -35,10 +36,11 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         # which a limb pressed against the brim of its socket found no equilibrium
         sharp = np.zeros((len(facets2), 4))
         rim = sharp if contact.friction else rim_widths(points, facets2, patches)
+        tree = FacetTree.of(points, facets2)
         if contact.friction or body is None:  # between soft surfaces also with a coefficient of 0
-            pairs.append(FrictionPair(contact, facets2, patches, rim, body, points))
+            pairs.append(FrictionPair(contact, facets2, patches, rim, tree, body, points))
         else:
-            pairs.append(Pair(contact, facets2, patches, rim, body))
+            pairs.append(Pair(contact, facets2, patches, rim, tree, body))
     return pairs
 
 

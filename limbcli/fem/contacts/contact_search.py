@@ -23,6 +23,7 @@ from limbcli.fem.contacts.contact_points import (
     interpolate,
     point_geometry,
 )
+from limbcli.fem.contacts.facet_tree import facets_on_line
 from limbcli.numbers.compiled import njit
 
 _ON_EDGE = 1e-9  # natural coordinates beyond an edge that are round-off
@@ -199,7 +200,7 @@ def _fade(out, quad, rim, row):
 
 @njit
 def search(
-    start, stop, x, facets, N, dN, facets2, rim, spheres, box, radius, tolerance, eps, multiplier, state
+    start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance, eps, multiplier, state
 ):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
@@ -211,11 +212,13 @@ def search(
 
     rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges
-    spheres (n_facets2, 4) : centre and radius of a bounding sphere of each secondary facet
-    box (2, 3) : bounding box of the secondary surface
+    tree : spheres around the secondary facets and around the nodes of their tree, its order and its starts
+        (see `FacetTree`)
     """
     r, g1, g2, n, nu = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     out, best = np.empty(15), np.empty(15)
+    spheres, around, order, starts = tree
+    near = np.empty(len(facets2), dtype=np.int64)
     count = 0
     for f in range(start, stop):
         for k in range(N.shape[0]):
@@ -224,12 +227,6 @@ def search(
             row[TRACTION] = 0.0
             row[FACET] = -1.0
             point_geometry(x, facets[f], N[k], dN[k], r, g1, g2, n)
-            far = False
-            for i in range(3):
-                if r[i] < box[0, i] - radius or r[i] > box[1, i] + radius:
-                    far = True
-            if far:
-                continue
             length = np.sqrt(n[0] ** 2 + n[1] ** 2 + n[2] ** 2)
             for i in range(3):
                 nu[i] = n[i] / length
@@ -239,15 +236,8 @@ def search(
                 for i in range(15):
                     best[i] = out[i]
             if not inside:
-                for j in range(facets2.shape[0]):
-                    d2, along = 0.0, 0.0
-                    for i in range(3):
-                        d = spheres[j, i] - r[i]
-                        d2 += d * d
-                        along += d * nu[i]
-                    reach = spheres[j, 3]
-                    if d2 - along * along > reach * reach or abs(along) > radius + reach:
-                        continue
+                n_near = facets_on_line(r, nu, radius, spheres, around, order, starts, near)
+                for j in near[:n_near]:
                     if not _hit(x, facets2[j], rim[j], r, nu, tolerance, out) or abs(out[0]) >= radius:
                         continue
                     within = _is_inside(facets2[j], rim[j], out)
@@ -256,7 +246,7 @@ def search(
                     elif within == inside:
                         better = abs(out[0]) < abs(best[0]) and nearest != hint
                     else:  # the facet next to it, not one behind
-                        better = within and abs(out[0] - best[0]) < reach
+                        better = within and abs(out[0] - best[0]) < spheres[j, 3]
                     if better:
                         found, inside, nearest = True, within, j
                         for i in range(15):

@@ -16,6 +16,7 @@ import numpy as np
 from limbcli.fem.contacts import contact_kernels as kernels
 from limbcli.fem.contacts.contact_points import FACET, GAP, N_STATE, TRACTION, WEIGHT
 from limbcli.fem.contacts.contact_search import search
+from limbcli.fem.contacts.facet_tree import FacetTree
 from limbcli.fem.contacts.patch import Patch
 from limbcli.fem.contacts.penalty import penalties
 from limbcli.fem.elements.assembly import Threads
@@ -36,6 +37,7 @@ class Pair:
 
     facets2 (n_facets2, 4 or 6) : see `contact_points`
     rim (n_facets2, 4) : half-widths of the fading zones at the free edges of that surface (`rim_widths`)
+    tree : of `facets2`
     body : number of the rigid body that the secondary side is part of; None: it is soft
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     looseness : value of the load curve of the gap's tolerance
@@ -48,6 +50,7 @@ class Pair:
     facets2: IntArray
     patches: list[Patch]
     rim: Array
+    tree: FacetTree
     body: int | None
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
@@ -64,22 +67,22 @@ class Pair:
 
         Returns the state of the points of each patch, and how many touch.
         """
-        spheres, box = _bounds(x, self.facets2)
+        tree = (*self.tree.spheres(x), self.tree.order, self.tree.starts)
         found, n_touching = [], 0
         for k, p in enumerate(self.patches):
             points = np.zeros((len(p.facets), len(p.weights), self.n_columns))
             points[..., FACET] = hints[k] if hints else -1
-            task = partial(self._search, p, points, x, spheres, box)
+            task = partial(self._search, p, points, x, tree)
             n_touching += sum(self.threads.run(task, len(p.facets)))
             found.append(points)
         return tuple(found), n_touching
 
     def _search(
-        self, p: Patch, points: Array, x: Array, spheres: Array, box: Array, worker: int, begin: int, end: int
+        self, p: Patch, points: Array, x: Array, tree: tuple[Array, ...], worker: int, begin: int, end: int
     ) -> int:
         c = self.contact
         found = search(
-            begin, end, x, p.facets, p.N, p.dN, self.facets2, self.rim, spheres, box,
+            begin, end, x, p.facets, p.N, p.dN, self.facets2, self.rim, tree,
             c.search_radius, c.search_tolerance, p.eps, p.multiplier, points,
         )  # fmt: skip
         return int(found)
@@ -218,10 +221,3 @@ def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Ar
     part = np.minimum(_FADE * soft.mean() / np.maximum(across, 1e-300), _MOST_FADE)
     return np.asarray(found * part * np.where(triangles, 1.0, 2.0)[:, None])
 
-
-def _bounds(x: Array, facets2: IntArray) -> tuple[Array, Array]:
-    corners = x[np.where(facets2 < 0, facets2[:, :1], facets2)]
-    center = corners.mean(axis=1)
-    reach = np.linalg.norm(corners - center[:, None], axis=2).max(axis=1) * 1.05
-    box = np.stack([corners.min(axis=(0, 1)), corners.max(axis=(0, 1))])
-    return np.concatenate([center, reach[:, None]], axis=1), box
