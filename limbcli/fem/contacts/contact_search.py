@@ -199,9 +199,7 @@ def _fade(out, quad, rim, row):
 
 
 @njit
-def search(
-    start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance, eps, multiplier, state
-):
+def search(start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance, eps, multiplier, state):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
     As in FEBio, a point keeps the secondary facet of the last search as long as its normal line hits that

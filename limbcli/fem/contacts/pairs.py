@@ -220,4 +220,3 @@ def rim_widths(points: Array, facets2: IntArray, patches: Sequence[Patch]) -> Ar
     soft = np.concatenate([np.sqrt(each.areas) for each in patches])
     part = np.minimum(_FADE * soft.mean() / np.maximum(across, 1e-300), _MOST_FADE)
     return np.asarray(found * part * np.where(triangles, 1.0, 2.0)[:, None])
-
