@@ -15,10 +15,12 @@ import numpy as np
 from limbcli.errors import MeasurementError
 from limbcli.errors.problems import Problem, checked, errors_of, raise_errors
 from limbcli.files.atomic import atomic_file
-from limbcli.measurement.number_table import RawTable, problem, read_table
+from limbcli.measurement.number_table import RawTable, header_of, problem, read_table
+from limbcli.measurement.shear_modulus import speed_from_young
 from limbcli.model import Array
 
 COLUMNS = ("lateral_mm", "depth_mm", "speed_m_per_s")
+_MODULUS = "young_kpa"  # as scanners show it, in place of the speed
 SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S = 0.3, 20.0
 _MAX_LATERAL, _MAX_DEPTH = 75.0, 120.0
 _SHOWN = 4
@@ -192,25 +194,35 @@ def check_mean(swe: SweMap, mean_m_per_s: float) -> list[Problem]:
 
 def check_map(path: Path) -> tuple[SweMap | None, list[Problem]]:
     """One map, if it is usable, and every problem (errors and warnings)."""
+    columns = COLUMNS
+    if _MODULUS in header_of(path, {*COLUMNS, _MODULUS}):
+        columns = (*COLUMNS[:2], _MODULUS)
     table, problems = read_table(
-        path, required=COLUMNS, optional=(), may_be_empty=True, may_be_nan=("speed_m_per_s",)
+        path, required=columns, optional=COLUMNS, may_be_empty=True, may_be_nan=(COLUMNS[2], _MODULUS)
     )
     if table is None or errors_of(problems):
         return None, problems
-    lateral, depth, speed = (table.numbers[name] for name in COLUMNS)
+    if len(table.numbers) > len(columns):
+        what = f"{_MODULUS} and {COLUMNS[2]} are two figures of one reading"
+        return None, [*problems, problem(what, path, "keep one of the two columns")]
+    lateral, depth, read = (table.numbers[name] for name in columns)
+    speed = speed_from_young(read, np.full(len(read), np.nan))[0] if columns[2] == _MODULUS else read
     swe = SweMap(lateral, depth, speed, path)
     problems += _check_ranges(swe, table, path)
     problems += _check_repeats(swe, table, path)
-    read = np.isfinite(speed)
-    return SweMap(lateral[read], depth[read], speed[read], path), problems
+    kept = np.isfinite(speed)
+    return SweMap(lateral[kept], depth[kept], speed[kept], path), problems
 
 
 def _check_ranges(swe: SweMap, table: RawTable, path: Path) -> list[Problem]:
+    speeds = (COLUMNS[2], swe.speed_m_per_s, SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S, "m/s, not cm/s or kPa")
+    if _MODULUS in table.numbers:
+        low, high = 3 * SPEED_LOW_M_PER_S**2, 3 * SPEED_HIGH_M_PER_S**2
+        speeds = (_MODULUS, table.numbers[_MODULUS], low, high, "kPa, Young's modulus, not Pa or m/s")
     rules: Sequence[tuple[str, Array, float, float, str]] = (
         ("lateral_mm", swe.lateral, -_MAX_LATERAL, _MAX_LATERAL, "mm from the probe's centre, not pixels"),
         ("depth_mm", swe.depth, 0.0, _MAX_DEPTH, "mm below the probe face, downwards positive, not pixels"),
-        ("speed_m_per_s", swe.speed_m_per_s, SPEED_LOW_M_PER_S, SPEED_HIGH_M_PER_S, "m/s, not cm/s or "
-         "kPa; omit pixels without a reading"),
+        (*speeds[:-1], f"{speeds[-1]}; omit pixels without a reading"),
     )  # fmt: skip
     problems = []
     for name, values, low, high, fix in rules:

@@ -94,6 +94,20 @@ def test_a_pixel_whose_speed_is_nan_was_not_read(tmp_path):
     assert swe.read_map(path).speed_m_per_s.tolist() == [2.5]
 
 
+def test_a_map_of_youngs_modulus_is_one_of_speeds(tmp_path):
+    """E = 3 rho v^2: 12 kPa at 2 m/s, 27 kPa at 3 m/s; one figure a pixel, and within the same limits."""
+    path = tmp_path / "level_00.csv"
+    path.write_text("lateral_mm,depth_mm,young_kpa\n0,5,12\n1,5,NaN\n2,5,27\n")
+    found, problems = swe.check_map(path)
+    assert not problems
+    assert found.speed_m_per_s == pytest.approx([2.0, 3.0])
+    assert found.lateral.tolist() == [0.0, 2.0]
+    path.write_text("lateral_mm,depth_mm,young_kpa\n0,5,12000\n")
+    assert "young_kpa is 12000; possible values are 0.27 to 1200" in swe.check_map(path)[1][0].what
+    path.write_text("lateral_mm,depth_mm,young_kpa,speed_m_per_s\n0,5,12,2\n")
+    assert "two figures of one reading" in swe.check_map(path)[1][0].what
+
+
 def test_maps_of_other_names_are_told_how_maps_are_named(tmp_path):
     swe.write_map(tmp_path / "map_0.csv", square_map())
     assert "level_00.csv, level_01.csv, ..." in swe.check_maps(tmp_path)[1][-1].fix
