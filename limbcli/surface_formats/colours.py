@@ -2,7 +2,8 @@
 
 Where each format has them: PLY: a property `red` or `diffuse_red`; OBJ: six numbers beside `v`, or `usemtl`;
 STL: two bytes of each triangle, with "COLOR=" in the header (Materialise) or their highest bit set (VisCAM);
-OFF: C in its keyword; VTK: COLOR_SCALARS, or arrays of three or four bytes; 3MF: colour and texture groups.
+OFF: C in its keyword; VTK: COLOR_SCALARS, or arrays of three or four bytes; 3MF: colour and texture groups;
+GLB: COLOR_0 or a texture.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ _OF_TEXT = {
         re.MULTILINE,
     ),
     ".vtp": re.compile(rb'<DataArray\b(?=[^>]*"UInt8")(?=[^>]*NumberOfComponents="[34]")'),
+    ".glb": re.compile(rb'"(?:COLOR_0|baseColorTexture)"'),
     ".3mf": re.compile(rb"<(?:\w+:)?(?:colorgroup|texture2dgroup)\b"),
 }
 _OF_TEXT[".vtu"] = _OF_TEXT[".vtp"]

@@ -6,6 +6,7 @@ Where a file says so, and which programs write it:
   file; a field `SPACE` in VTP and VTU (3D Slicer 5.13, vtkMRMLModelStorageNode; surfa writes it into OBJ)
 - "1 unit = 1000.000000 mm" in a comment of an OBJ (Materialise 3-matic, as documented by 3D Slicer 5.13)
 - "File units = inches" in a comment of an OBJ (SketchUp); "units mm" in comments of scanners' PLY and OBJ
+- a GLB is in metres (glTF 2.0 Specification, section 3.4)
 - the attribute `unit` of `<model>` in a 3MF (3MF Core Specification 1.3, millimeter where it is missing)
 
 A file that says nothing is taken as patient LPS in mm.
@@ -79,7 +80,7 @@ def stated_frame(path: Path) -> StatedFrame:
     read.
     """
     read = {".stl": _of_stl, ".ply": _of_ply, ".vtk": _of_vtk, ".vtp": _of_vtk_xml, ".vtu": _of_vtk_xml,
-            ".3mf": _of_3mf}.get(path.suffix.lower(), _of_comments)  # fmt: skip
+            ".3mf": _of_3mf, ".glb": _of_glb}.get(path.suffix.lower(), _of_comments)  # fmt: skip
     lines = read(path)
     frames = {_letters(word, path) for line in lines for word in _SPACE.findall(line)}
     units = {size: word for line in lines for word, size in _units_of(line)}
@@ -199,6 +200,10 @@ def _of_3mf(path: Path) -> list[str]:
             fix="export it again in millimeters",
         )
     return [f"unit={unit}"]
+
+
+def _of_glb(path: Path) -> list[str]:
+    return ["unit=m"]
 
 
 def _of_vtk_xml(path: Path) -> list[str]:

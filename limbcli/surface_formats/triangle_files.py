@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from limbcli.surface_formats.aop import read_aop
+from limbcli.surface_formats.glb import read_glb
 from limbcli.surface_formats.off import read_off
 from limbcli.surface_formats.polygons import triangles_of
 from limbcli.surface_formats.stated_frame import stated_frame
@@ -22,7 +23,7 @@ from limbcli.surface_formats.three_mf import read_3mf
 from limbcli.surface_formats.vtk_legacy import read_vtk
 from limbcli.surface_formats.vtk_xml import read_vtk_xml
 
-SUFFIXES = (".ply", ".stl", ".obj", ".3mf", ".off", ".vtk", ".vtp", ".vtu", ".aop")
+SUFFIXES = (".ply", ".stl", ".obj", ".glb", ".3mf", ".off", ".vtk", ".vtp", ".vtu", ".aop")
 
 _Points = NDArray[np.float64]
 _Faces = NDArray[np.int64]
@@ -48,7 +49,7 @@ def read_triangles(path: Path) -> tuple[_Points, _Faces]:
     """
     read = {
         ".ply": _ply, ".obj": _obj, ".stl": read_stl, ".3mf": read_3mf, ".off": read_off, ".vtk": read_vtk,
-        ".vtp": read_vtk_xml, ".vtu": read_vtk_xml, ".aop": read_aop,
+        ".vtp": read_vtk_xml, ".vtu": read_vtk_xml, ".aop": read_aop, ".glb": read_glb,
     }.get(path.suffix.lower(), _by_meshio)  # fmt: skip
     try:
         with np.errstate(all="ignore"):  # meshio computes sizes that may overflow

@@ -43,6 +43,7 @@ from limbcli.results import open_stage, read_result, stage_folder
 from limbcli.surface_formats.aop import AopLimb, write_aop
 from tests.cohort_rows import HEADER, row
 from tests.imaging.limb_images import dicom_seg
+from tests.surface_formats.test_glb import write_glb
 
 DATA = Path(__file__).resolve().parents[1] / "data" / "feb"
 DICOM = Path(pydicom.data.__file__).parent / "test_files"
@@ -421,6 +422,8 @@ TARGETS = (
             ("a.ply", False, {"binary": True}), ("ascii.ply", True, {"binary": False}), ("a.obj", True, {}),
         )
     ),
+    Target("GLB", "a.glb", False, lambda folder: write_glb(folder / "a.glb", [{"mesh": 0}]), read_surface,
+           lambda found: sound_faces(found.points, found.faces)),
     Target("3MF", "a.3mf", False, make_3mf, read_surface,
            lambda found: sound_faces(found.points, found.faces)),
     Target("meshed surface", "b.ply", False, make_surface("b.ply", binary=True), surfaces.read_surface,
