@@ -254,6 +254,7 @@ entry.main()
 """
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("sent", "code"), [("SIGINT", 130), ("SIGTERM", 143)])
 @pytest.mark.parametrize(
     "moment", [WHILE_IMPORTING, AT_THE_END, INSIDE_A_LIBRARY], ids=["importing", "leaving", "in a library"]

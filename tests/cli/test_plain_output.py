@@ -57,6 +57,7 @@ def test_every_command_prints_by_the_one_function():
         assert path.name == "output.py" or all(is_json), path.name
 
 
+@pytest.mark.slow
 def test_the_cohort_prints_no_control_character_of_its_table(tmp_path: Path):
     mean, spread = np.log([0.006, 0.010, 4.0]), np.diag([0.35, 0.3, 0.2]) ** 2
     rows = people(3, mean=mean, spread=spread, rng=np.random.default_rng(7))[0]

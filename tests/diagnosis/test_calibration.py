@@ -37,6 +37,7 @@ def is_share(k: int, n: int, share: float, chance: float = 1e-3) -> bool:
     return bool(low <= k <= high)
 
 
+@pytest.mark.slow
 def test_the_adequate_level_is_missed_by_five_per_cent_of_the_data_with_nothing_missing(rng):
     """Fresh data, of the heavy-tailed noise that the level allows for. A share of 10 % in place of 5 passes
     with 28 %, of 12 % with 3 %; the level itself is known to 0.7 %."""

@@ -23,6 +23,7 @@ def of(data: Data, y: np.ndarray, seed: int = 1) -> Check:
     return checked(replace(data, y=y), state, whiten, np.random.default_rng(seed))
 
 
+@pytest.mark.slow
 def test_under_the_model_a_hundredth_of_the_data_fails(rng, monkeypatch):
     """Adjusted over six tests that share their data: the smallest p is below 1 % in 1 %, as below 10 % in
     10 %. Of 1500, with 2000 draws, which know 1 % to 0.2 %: 3 % in place of 1 would pass with 9 %, 3.5 %

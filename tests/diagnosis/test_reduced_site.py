@@ -50,6 +50,7 @@ def run(measured, **more):
     return diagnose(bench(measured, **more))
 
 
+@pytest.mark.slow
 def test_nothing_missing_is_adequate_and_recovers_the_tissue(rng):
     found = run(levels(rng))
     assert found.verdict == "adequate"
@@ -57,6 +58,7 @@ def test_nothing_missing_is_adequate_and_recovers_the_tissue(rng):
     assert found.base.values["m"] == pytest.approx(4.0, rel=0.25)
 
 
+@pytest.mark.slow
 def test_force_offset_is_named_and_the_tissue_comes_right(rng):
     few = ("force-zero", "depth-zero", "swe-guided-wave")
     found = run(levels(rng, reading=Reading(force_zero=1.0)), names=few)
@@ -67,6 +69,7 @@ def test_force_offset_is_named_and_the_tissue_comes_right(rng):
     assert abs(after - truth) < abs(before - truth)
 
 
+@pytest.mark.slow
 def test_sizes_of_effects_are_those_of_their_fits_though_nothing_was_found(rng):
     """To first order a preload that has moved c far, and leaves nothing, would be excluded."""
     measured = levels(rng)
@@ -292,6 +295,7 @@ def test_muscle_that_tenses_from_a_level_on_is_found_there(rng):
     assert found.final.values["tensed_after_share_of_levels"] == pytest.approx(8 / 14, abs=0.04)
 
 
+@pytest.mark.slow
 def test_what_cannot_be_run_is_said(rng):
     found = run(levels(rng))
     assert "FEBio" in found.not_evaluated["poroelasticity"]

@@ -91,6 +91,7 @@ def test_nothing_is_shown_where_nothing_was_diagnosed(tmp_path):
 CHANNELS = ("force", "swe", "map", "travel", "layer", "hold")
 
 
+@pytest.mark.slow
 def test_words_of_a_gap_of_many_channels_and_sites_can_be_read_in_print(tmp_path, monkeypatch):
     """Two sites with six channels on a page 17 cm wide; no letter smaller than 6 points, none cut off."""
     kept, n = [], 3 * len(CHANNELS)

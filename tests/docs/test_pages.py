@@ -54,6 +54,7 @@ def case_keys() -> list[str]:
     return [name for each in tables for name, key in each.items() if isinstance(key, schema.Key)]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", EXAMPLES, ids=lambda page: page.stem)
 def test_the_example_of_every_extension_page_runs(page: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(element, "shape", element.shape)  # what a page changes is put back
@@ -170,6 +171,7 @@ def test_every_case_is_told_of_in_the_list_of_cases():
     assert reported == {path.parent.name for path in (REPOSITORY / "cases").glob("*/case.toml")}
 
 
+@pytest.mark.slow
 def test_the_pages_of_the_program_hold_every_command_key_and_effect(tmp_path: Path):
     module = module_at(DOCS / "from_program.py")
     (tmp_path / "command-gone.md").write_text("of a command that is no more")

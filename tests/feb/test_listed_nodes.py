@@ -84,6 +84,7 @@ def test_febios_rows_are_places(tmp_path: Path) -> None:
     assert read_tables(read_outline(path), tmp_path).nodes["nodes.csv"].items.tolist() == [4, 5, 6, 7]
 
 
+@pytest.mark.slow
 def test_the_reference_solver_writes_the_same_rows_as_febio(tmp_path: Path) -> None:
     cells = f'<element_data data="J" file="j.csv">{FIRST_CELL}</element_data>'
     path = cube(tmp_path, SET + cells)

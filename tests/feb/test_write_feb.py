@@ -346,6 +346,7 @@ def test_sections_are_those_of_the_golden_limb(limb_twice, section: str) -> None
     assert [each.tag for each in ours if isinstance(each.tag, str)] == theirs_order
 
 
+@pytest.mark.slow
 def test_a_model_of_50000_nodes_is_written_and_read_in_seconds(model: LimbModel, tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     points = rng.normal(size=(50_000, 3))

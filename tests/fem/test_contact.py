@@ -47,6 +47,7 @@ def on_a_spring(model: LimbModel) -> LimbModel:
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
 @pytest.mark.parametrize("change", [lambda m: m, free_probe, on_a_spring])
 def test_tangent_agrees_with_differences(kind: str, change, rng: np.random.Generator) -> None:
@@ -210,6 +211,7 @@ def test_a_body_under_force_has_a_load_and_no_depth() -> None:
     assert told[-1] == (None, "force 0.02 N")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_a_gap_does_not_jump_where_the_wall_bends(friction: float) -> None:
     """A roof, its ridge down, and the block moved under it by small steps. Kept by the plane of the slope
@@ -236,6 +238,7 @@ def test_a_gap_does_not_jump_where_the_wall_bends(friction: float) -> None:
     assert np.abs(np.diff(gaps, axis=0)).max() == pytest.approx(0.002 * 1.5 / 8.0, rel=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("friction", [0.0, 0.3])
 def test_forces_are_a_function_of_the_state(friction: float, rng: np.random.Generator) -> None:
     """Whatever is evaluated in between; so is the tangent of the contact that was found there."""

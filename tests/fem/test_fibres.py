@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from small_models import block
 
 from limbcli.fem.equilibrium.tangent import assemble
@@ -15,6 +16,7 @@ from limbcli.model import Material
 from limbcli.model.bodies import Drive, RigidBody
 
 
+@pytest.mark.slow
 def test_tangent_agrees_with_differences_on_the_jump(rng: np.random.Generator) -> None:
     """Cells within the band, some of them tied to a free plate."""
     fibre = Material("fiber_exp_pow", {"ksi": 0.003, "mu": 0.004, "fiber": (0.0, 0.8, 0.6)})

@@ -123,6 +123,7 @@ def check(
         assert not wrong, record.file
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 def test_cell_and_body_fields_by_all_numbers_of_a_law(law: str, rng: np.random.Generator) -> None:
     """All numbers of the law together, each at a random rate."""

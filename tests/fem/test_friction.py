@@ -58,6 +58,7 @@ def last(model: LimbModel) -> tuple[Analysis, Snapshot]:
     return analysis, analysis.run()[-1]
 
 
+@pytest.mark.slow
 def test_slipping_brick_resists_with_mu_times_pressure() -> None:
     _, end = last(dragged(2.0))
     force = end.forces.bodies[0]
@@ -103,6 +104,7 @@ def test_tangent_agrees_with_differences(
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
 
 
+@pytest.mark.slow
 def test_a_factor_serves_where_all_skin_slips(rng: np.random.Generator) -> None:
     """That shear follows pressure makes the symmetric part of a slip's tangent indefinite. It is not in the
     factor: with it, GMRES needed 103 iterations here, and did not converge on a whole limb."""
@@ -202,6 +204,7 @@ def test_an_augmentation_without_an_equilibrium_is_taken_in_part(monkeypatch: py
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("n_steps", [1, 40])
 def test_augmented_friction_bears_its_share_of_the_pressure_however_small_the_steps(n_steps: int) -> None:
     """A step much shorter than the slip that the penalty needs for the full shear."""

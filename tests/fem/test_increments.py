@@ -100,6 +100,7 @@ def test_a_deep_punch_is_cut_comes_to_rest_and_arrives(outcomes: list[IncrementO
     assert last.forces.error <= QUICK.tolerance
 
 
+@pytest.mark.slow
 def test_a_first_load_step_tried_briefly_ends_with_what_is_wrong(outcomes: list[IncrementOutcome]) -> None:
     model = punch("tet10", depth=5.0, levels=1, width=5.0, material=ogden_type(c=0.008, f_kappa=100.0, m=2.0))
     with pytest.raises(SolveError, match="load step 1 of 1"):

@@ -29,6 +29,7 @@ def pressed(
     return linearised, state
 
 
+@pytest.mark.slow
 def test_contact_matrix_is_the_contact_tangent(rng: np.random.Generator) -> None:
     linearised, state = pressed(rng)
     system = linearised.system

@@ -72,6 +72,7 @@ def sheared(kind: str, material: Material, rule: str | None = None) -> LimbModel
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("kind", "law"), FEBIO)
 def test_displacements_stresses_and_energy_are_febios(kind: str, law: str) -> None:
     analysis = Analysis(sheared(kind, LAWS[law]), TIGHT)

@@ -49,6 +49,7 @@ def forces(shape: str, law: str) -> tuple[list[float], list[float]]:
     return depth, [abs(float(each.forces.bodies[0, 2])) for each in snapshots]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("shape", SHAPES)
 def test_punch_gives_the_forces_that_were_stored(shape: str, law: str) -> None:

@@ -53,6 +53,7 @@ def test_tangent_agrees_with_differences_in_the_fade(kind: str, rng: np.random.G
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=2e-6 * abs(exact).max())
 
 
+@pytest.mark.slow
 def test_a_traction_does_not_jump_as_a_point_passes_the_rim() -> None:
     """The block shifted under the plate by small steps: the force changes by small ones."""
     system, _ = pressed("hex8")

@@ -120,6 +120,7 @@ def tractions_of(snapshot: Snapshot) -> np.ndarray:
     return np.concatenate([points[..., TRACTION].ravel() for points in snapshot.forces.contact.points[0]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["tet4", "tet10", "hex8"])
 def test_stress_is_uniform_through_meshes_that_do_not_match(kind: str) -> None:
     """Every primary facet lies on one secondary facet, so that its points integrate the reaction exactly."""

@@ -161,6 +161,7 @@ def test_all_parts_of_a_surface_file_share_one_budget(tmp_path: Path, monkeypatc
         read_surface(path)
 
 
+@pytest.mark.slow
 def test_a_3mf_cannot_place_objects_of_objects_without_end(tmp_path: Path) -> None:
     """Ten objects, each made of ten of the next one: ten thousand million of the last."""
     path = tmp_path / "a.3mf"

@@ -47,6 +47,7 @@ N_EACH = 25
 SEED = 7
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("target", TARGETS, ids=[each.name for each in TARGETS])
 def test_damaged_files_are_refused_or_read_soundly(target: Target, tmp_path: Path) -> None:
     if target.needs:

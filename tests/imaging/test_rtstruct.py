@@ -55,6 +55,7 @@ def rtstruct(path, structures: dict[str, list[NDArray]], kind: str = "CLOSED_PLA
     return path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("turn", [0.0, 20.0])
 def test_contours_become_bodies_of_their_size_and_place(tmp_path, turn):
     """A scan whose slices are tilted, too; canal and all: pi (40^2 - 10^2 + 4^2) and pi (10^2 - 4^2) mm2."""
@@ -71,6 +72,7 @@ def test_contours_become_bodies_of_their_size_and_place(tmp_path, turn):
     assert np.linalg.det(found.affine[:3, :3]) > 0
 
 
+@pytest.mark.slow
 def test_an_outline_is_known_by_its_type(tmp_path):
     contours = limb()
     dataset = pydicom.dcmread(

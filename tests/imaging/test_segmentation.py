@@ -74,6 +74,7 @@ def test_a_bright_vessel_is_no_bone():
     assert len(found.bones) == 1
 
 
+@pytest.mark.slow
 def test_a_knee_in_view_gives_femur_and_patella_too():
     shank = ((0.0, -4.0, 16.0, 1.5, -200.0, 0.0), (20.0, 10.0, 6.0, 2.0, -200.0, -12.0))
     thigh = ((0.0, 0.0, 18.0, 1.5, 6.0, 200.0), (0.0, -27.0, 6.0, 1.5, 10.0, 34.0))

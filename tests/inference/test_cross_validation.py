@@ -98,6 +98,7 @@ def test_slopes_of_chance_are_shrunken_and_those_of_a_site_are_not(rng):
         assert [each["shrink_site"] for each in found.chosen].count(chosen) >= 8
 
 
+@pytest.mark.slow
 def test_the_slab_is_used_where_it_helps(rng):
     people, sites, features, compliance = cohort(rng, noise=0.05)
     hidden = rng.normal(0, 1.0, len(compliance))

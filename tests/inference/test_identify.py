@@ -33,6 +33,7 @@ def test_parameters_are_recovered_from_exact_data(simulated, kind, truth):
     assert second.fit.cost <= first.fit.cost
 
 
+@pytest.mark.slow
 def test_differences_lead_to_the_same_answer(simulated):
     data = measurement(simulated, (150.0, 3.0), "tet4")
     curve = Differences(lambda theta: simulated.force(DEPTH[1:], C, *theta, "tet4"), upper=(1000.0, 100.0))

@@ -47,6 +47,7 @@ def test_a_row_of_a_linear_model_is_the_conjugate_posterior(rng):
     assert rows.effective.min() > 100
 
 
+@pytest.mark.slow
 def test_population_is_recovered_with_honest_errors(rng):
     _theta, seen, noise = cohort(linear, 400, 0.15, rng)
     people, _rows = estimate_population(linear, seen, noise, start=MEAN - 0.5, prior_deviation=PRIOR)

@@ -341,6 +341,7 @@ def test_volts_are_taken_in_the_unit_that_the_case_states(tmp_path):
     np.testing.assert_allclose(read_recording(path, form).force, np.arange(5) + 0.5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("step", "n", "unit", "question"),
     [

@@ -35,6 +35,7 @@ def test_the_angle_of_rendered_septa_is_read(angle):
     assert found.deviation_deg >= LEAST_DEVIATION_DEG
 
 
+@pytest.mark.slow
 def test_its_doubt_covers_what_it_is_off():
     """20 images, faint septa: within two deviations 19 are expected, 17 have a chance of 98 %."""
     hits = 0

@@ -76,6 +76,7 @@ def test_a_difference_is_largest_where_its_own_deviation_is_least():
     assert found.largest == 1  # five deviations; two of the others
 
 
+@pytest.mark.slow
 def test_deviation_of_the_energy_is_that_of_repeated_readings():
     reported = cycle_energy(repeated({}), 1, 0.1, 0.3).lost_deviation
     losses = [cycle_energy(repeated({}, seed=k), 1, 0.1, 0.3).lost for k in range(300)]

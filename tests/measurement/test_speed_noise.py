@@ -96,6 +96,7 @@ def test_a_level_off_the_others_is_told_and_widens(tmp_path: Path, k: int, speed
     assert first(path) > 0.2
 
 
+@pytest.mark.slow
 def test_scatter_within_the_stated_noise_is_left(tmp_path: Path):
     """Of 200 tables with the stated noise, few are told to scatter more."""
     random = np.random.default_rng(7)

@@ -96,6 +96,7 @@ def test_impossible_thickness_is_refused():
         layers_of(fat=100.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("bone_depth", "least", "centre"), [(25.0, 1.0, 1.0), (9.0, 0.72, 0.72)])
 def test_how_much_of_the_layers_is_left_over_bone_is_measured(make_tube, bone_depth, least, centre):
     """60 % of 9 mm are 5.4 mm, of the 7.5 mm that are asked for; 25 mm have room for them."""

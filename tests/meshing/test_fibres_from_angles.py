@@ -30,6 +30,7 @@ def test_two_images_give_back_any_direction(rng):
         assert abs(found.axis @ axis) == pytest.approx(1.0, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_the_deviation_is_that_of_drawn_angles(rng):
     axis = np.array([0.3, 0.4, 0.85]) / np.linalg.norm([0.3, 0.4, 0.85])
     laterals, sigma = (PROXIMAL, ACROSS), (1.5, 2.5)

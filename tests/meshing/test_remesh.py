@@ -142,6 +142,7 @@ def test_faces_folded_flat_on_a_neighbour_are_bad():
         assert len(bad_places(Boundary(Triangles(points, faces), np.full(4, SKIN)))) == n_bad
 
 
+@pytest.mark.slow
 def test_a_thin_bone_that_ends_near_the_face_is_kept(make_tube):
     """A bone as wide as its facets collapses from its end; there the edges are made shorter."""
     skin = make_tube((0, 0, -60), (0, 0, 60), (42, 40))

@@ -71,6 +71,7 @@ def test_sites_that_look_at_one_bone_share_it_and_others_have_their_own(tapered)
             assert depth == pytest.approx(seen[name].depth, abs=0.5 if len(names) > 1 else 1e-6)
 
 
+@pytest.mark.slow
 def test_bones_are_the_same_in_whatever_order_sites_are_listed(tapered):
     """The first listed had taken in its neighbour, though another lay nearer."""
     seen = {"a": seen_on(tapered, 0, 15.0), "b": seen_on(tapered, 0, 22.0), "c": seen_on(tapered, 0, 27.0)}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
@@ -11,6 +12,7 @@ from limbcli.meshing import mesh_picture
 from limbcli.meshing.mesh_extrapolation import Extrapolation
 
 
+@pytest.mark.slow
 def test_limit_and_title_are_on_the_picture(monkeypatch):
     kept: list[Figure] = []
     monkeypatch.setattr(mesh_picture, "save_figure", lambda figure, *_, **__: kept.append(figure))

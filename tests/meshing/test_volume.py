@@ -24,6 +24,7 @@ from limbcli.meshing.tetrahedra import Tetrahedra
 PROBE = ProbeShape(40.0, 14.0, 3.0)
 
 
+@pytest.mark.slow
 def test_mesher_refusing_a_surface_is_a_mesh_error(make_ball):
     crossing = join([make_ball((0, 0, 0), 10.0, n=8), make_ball((5, 0, 0), 10.0, n=8)])
     with pytest.raises(MeshError, match="tetgen rejected"):
@@ -39,6 +40,7 @@ def test_mesher_that_runs_on_or_dies_is_a_mesh_error(make_ball, monkeypatch, tmp
         in_process("tetgen", ball.points, ball.faces, {}, time_limit_s=5)
 
 
+@pytest.mark.slow
 def test_mesher_that_was_killed_is_run_once_more(make_ball, monkeypatch, tmp_path):
     killer = "import os, pathlib, signal\ndef TetGen(*_):\n    pathlib.Path({!r}).open('a').write('x')\n"
     times = tmp_path / "times"
@@ -60,6 +62,7 @@ def test_mesher_that_was_killed_is_run_once_more(make_ball, monkeypatch, tmp_pat
     assert times.read_text() == "xxx"
 
 
+@pytest.mark.slow
 def test_mesher_that_is_not_installed_is_a_tool_error(make_ball, monkeypatch, tmp_path):
     (tmp_path / "pytetwild.py").write_text("raise ImportError('not here')")
     monkeypatch.setattr(mesher_process, "_environment", lambda: {"PYTHONPATH": str(tmp_path)})

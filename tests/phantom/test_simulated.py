@@ -32,6 +32,7 @@ def uniform(rng, stiffness=1.2, n=20_000):
     return Indentation(depth, stiffness * depth, positions, F)
 
 
+@pytest.mark.slow
 def test_levels_follow_the_force_steps_and_the_closed_form_speed(rng):
     true = true_levels(
         uniform(rng), speed_in_tissue, protocol=LoadingProtocol(max_force=10.0), skin_bone=THICKNESS

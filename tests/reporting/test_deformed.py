@@ -39,6 +39,7 @@ def test_shortening_is_drawn_in_percent_on_the_moved_section():
     assert corners[:, 1].min() == pytest.approx(-2.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("half_width", "height"), [(47.5, 16.6), (95.0, 49.8)])
 def test_a_probe_that_stands_high_does_not_push_the_titles_off_the_picture(half_width, height):
     """Tissue 83 mm deep, as wide as a limb or twice that, and a probe that rises above it (mm)."""

@@ -92,12 +92,14 @@ def test_a_simulation_that_no_fit_stands_beside_is_seen_whole():
     assert force_depth(MEASURED, [start]).axes[0].get_ylim()[1] > start.force.max()
 
 
+@pytest.mark.slow
 def test_drawing_leaves_the_callers_settings_alone():
     before = dict(matplotlib.rcParams)
     figures()
     assert dict(matplotlib.rcParams) == before
 
 
+@pytest.mark.slow
 def test_speed_maps_show_measured_predicted_and_the_difference_of_a_handful_of_levels():
     levels = maps(13, measured=True)
     assert [each.level for each in chosen_levels(levels)] == [0, 3, 6, 9, 12]
@@ -131,6 +133,7 @@ def test_an_undefined_r2_is_said_in_words():
     assert "R² undefined" in line_text(Line(0.0, 2.0, None, None, 3), "N")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("low", "high"), [(0.01, 1000.0), (1.0, 190.0), (3.0, 40.0)])
 def test_labels_of_a_profile_do_not_touch(low, high):
     values = np.geomspace(low, high, 20)
@@ -162,6 +165,7 @@ def drawn(figure: Figure) -> Figure:
     return figure
 
 
+@pytest.mark.slow
 def test_no_legend_lies_over_what_is_drawn():
     """A start curve far off, unloading, a search that falls steeply, cycles, states that are alike."""
     back = np.r_[np.zeros(9, bool), True, True]
@@ -212,6 +216,7 @@ def test_forces_below_zero_stay_on_the_picture():
     assert high > 0.0
 
 
+@pytest.mark.slow
 def test_differences_to_unloading_are_no_part_of_the_fits_line():
     back = np.r_[np.zeros(9, bool), True, True]
     measured = MeasuredCurve(DEPTH, 1.5 * DEPTH, 0.3, 0.1, unloading=back)
@@ -263,6 +268,7 @@ def test_cycles_and_sites_of_a_cohort_can_be_told_apart():
         assert len(looks) == len(set(looks)) >= 12
 
 
+@pytest.mark.slow
 def test_long_names_leave_room_for_the_parameters_of_a_study():
     names = [f"Patient-mit-sehr-langem-Namen-{k} (Ordner {k}) medial proximal" for k in range(12)]
     known = EstimateView(name="c", value=5.0, unit="kPa", low=4.0, high=7.0, flag="fixed")
@@ -286,6 +292,7 @@ def test_numbers_on_logarithmic_axes_are_plain(ends):
     assert not [each for each in axes.get_xticklabels(minor=True) if each.get_text()]
 
 
+@pytest.mark.slow
 def test_a_long_name_stands_at_its_own_site_of_a_cohort():
     names = [f"site {k}" for k in range(7)]
     names[2] = "Unterschenkel dorsal, handbreit unter dem Köpfchen"
@@ -302,6 +309,7 @@ def test_a_long_name_stands_at_its_own_site_of_a_cohort():
         assert abs(box.x1 - x) < 0.5 * axes.bbox.width / len(names)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rows", [1, 3])
 def test_words_beside_flat_speed_maps_do_not_touch(rows):
     lateral, depth = (each.ravel() for each in np.meshgrid(np.arange(-25.0, 26, 5), np.linspace(2, 6, rows)))

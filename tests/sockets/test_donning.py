@@ -117,6 +117,7 @@ def test_augmented_contact_leaves_no_more_penetration_than_was_asked(friction: f
     assert 1.0 < pressed[1] / pressed[0] < 1.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("n_done", "penetration_mm"), [(4, None), (8, None), (8, 0.015)])
 def test_an_interrupted_run_goes_on_where_it_stopped(n_done, penetration_mm, tmp_path: Path) -> None:
     """While donning, and under load; with friction, whose path it remembers. The multipliers of augmented
@@ -162,6 +163,7 @@ def test_a_loose_solve_leaves_forces_over(monkeypatch: pytest.MonkeyPatch) -> No
     assert don_and_load(limb(), face(), quick, threads=1).worst.share > 1e-4
 
 
+@pytest.mark.slow
 def test_friction_over_a_penetration_is_no_moment_left_over() -> None:
     """It acts on the skin at one point and on the wall at another: the couple of both is counted."""
     knee = KneeLoad((1.0, 0.0, 30.0), (0.05, -0.02, 0.0), (-0.5, 0.3, 0.0))
@@ -218,6 +220,7 @@ def as_febio_was_given(friction: float) -> DonningOptions:
     return replace(OPTIONS, friction=friction, penetration_mm=0.015, loads_n=(0.5,), **fine)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("friction", "as_febio", "field"), [(0.0, False, 0.001), (0.3, False, 0.055), (0.3, True, 0.003)]
 )
@@ -312,6 +315,7 @@ def test_a_load_that_nothing_holds_says_what_it_was() -> None:
     assert "out of it" in caught.value.fix
 
 
+@pytest.mark.slow
 def test_a_failure_under_a_load_says_up_to_which_time_there_is_a_solution() -> None:
     """The force on the socket falls from that of donning, so that it does not tell how far the load came."""
     pulled_off = replace(OPTIONS, loads_n=(3.0,), donning_steps=4, load_steps=1, sign=-1.0)

@@ -65,6 +65,7 @@ def test_a_socket_shows_its_own_tip_in_its_own_frame() -> None:
         own_line(SKIN.part(SKIN.centroids[:, 2] > 30.0))
 
 
+@pytest.mark.slow
 def test_a_transfemoral_socket_is_found_and_aligned_with_its_stump(shared: Path) -> None:
     folder = shared / "data" / "limb-scans" / "socket-sense"
     limb, socket = read_surface(folder / "Stump.stl"), read_surface(folder / "Socket.stl")
@@ -206,6 +207,7 @@ def test_three_landmarks_place_a_mirrored_socket_but_its_shape_tells() -> None:
     assert "mirror image lies nearer" in mirror_image_warning(mirrored, skin, landmarks)
 
 
+@pytest.mark.slow
 def test_a_turned_and_shifted_socket_is_brought_back() -> None:
     pose = turned(75.0, (20.0, 300.0, -60.0))
     face = stump(grow=-2.0, top=110.0).flipped()
@@ -216,6 +218,7 @@ def test_a_turned_and_shifted_socket_is_brought_back() -> None:
     assert "mm rms" in found.sentence
 
 
+@pytest.mark.slow
 def test_a_round_socket_is_not_turned_at_random() -> None:
     limb = stump(oval=0.0, bump=0.0)
     with pytest.raises(MeshError, match="landmarks") as caught:

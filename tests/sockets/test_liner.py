@@ -107,6 +107,7 @@ def test_a_liner_without_any_friction_is_named_where_there_is_no_equilibrium() -
             assert "liner" not in _explained(stopped, n_states, held).fix
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("penetration_mm", [None, 0.1])
 def test_a_liner_with_friction_on_both_faces_is_donned(penetration_mm: float | None) -> None:
     """Its upper end leaves the wall over a bend of 20 degrees; while traction jumped there and between stick
@@ -123,6 +124,7 @@ def test_a_liner_with_friction_on_both_faces_is_donned(penetration_mm: float | N
     assert sum(iterations) < 40
 
 
+@pytest.mark.slow
 def test_a_liner_that_hardly_slides_is_nearly_a_bonded_one() -> None:
     """Friction 2 on the skin, and little penetration: what holds and what strains is then the same."""
     options = DonningOptions(

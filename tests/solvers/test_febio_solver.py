@@ -90,6 +90,7 @@ def test_the_version_is_asked_for(binary: Path) -> None:
     assert FebioSolver(binary).version() == "4.9.1"
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not sys.platform.startswith("linux"), reason="other systems tell no child that it is alone"
 )

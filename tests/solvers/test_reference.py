@@ -297,6 +297,7 @@ def test_time_limit_stops_the_run(golden: Path, tmp_path: Path) -> None:
 # ---------------------------------------------------------------- session
 
 
+@pytest.mark.slow
 def test_session_gives_exact_force_gradients(golden: Path) -> None:
     model = read_feb(golden / "effect-base-tet4" / "model.feb")
     tissue = model.materials["tissue"]
@@ -317,6 +318,7 @@ def test_session_gives_exact_force_gradients(golden: Path) -> None:
         np.testing.assert_allclose(first.force_gradient[name], numeric, atol=1e-4 * abs(numeric).max())
 
 
+@pytest.mark.slow
 def test_warm_start_gives_the_cold_answer_for_less(golden: Path) -> None:
     model = read_feb(golden / "effect-base-tet4" / "model.feb")
     stiffer = model.with_material("tissue", ogden_type(c=0.0055, f_kappa=45.0, m=2.5))
@@ -350,6 +352,7 @@ def test_progress_tells_level_residual_and_depth(golden: Path) -> None:
     assert seen[-1]["depth"] == pytest.approx(1.216)
 
 
+@pytest.mark.slow
 def test_path_dependent_gradients_are_differenced_and_say_so(golden: Path) -> None:
     """An augmented contact: c scales all stresses and the penalty, hence force / c."""
     model = read_feb(golden / "effect-base-tet4" / "model.feb")

@@ -31,6 +31,7 @@ def write_state(folder: Path, element: str, state: str) -> Path:
     return write_feb(in_state(model, DEPTHS, along=along, around=around), folder / "model.feb")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("element", ["tet4", "tet10"])
 @pytest.mark.parametrize("state", list(STRETCHES))
 def test_a_state_has_the_forces_that_febio_gives_it(tmp_path: Path, element: str, state: str) -> None:

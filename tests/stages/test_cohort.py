@@ -279,6 +279,7 @@ def test_tissue_is_recovered_from_solves_on_another_mesh():
     assert np.median(np.abs(apart[keep, 1])) < 0.4
 
 
+@pytest.mark.slow
 def test_a_member_of_the_file_is_solved_again():
     """The shallow strains of one small member, as the file has them: same mesh, same law, same solver."""
     rows = [row for row in solves("family") if row["member"] == 1]

@@ -183,6 +183,7 @@ def test_a_diagnosis_taken_up_again_allows_candidates_as_much_work_as_before(blo
     simulations.close()
 
 
+@pytest.mark.slow
 def test_a_diagnosis_taken_up_again_gives_the_very_same_numbers(block, tmp_path):
     """Wherever it was stopped: else what was close to a threshold is answered in another way."""
     requested = [(8.0, ()), (4.0, ()), (4.0, THICKER), (5.0, ()), (5.0, SOFTER[0.30]), (5.1, SOFTER[0.33])]

@@ -86,6 +86,7 @@ def test_the_same_mesh_solved_again_is_the_same(tmp_path):
     assert again.force == pytest.approx(working.force[at], rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_penalty_in_proportion_to_the_edges_gives_meshes_the_same_contact(tmp_path):
     """The working mesh of twice the edges: with the same penalty its probe would sink in twice as far."""
     simulations = _simulations(tmp_path, counts=(6, 4, 2))

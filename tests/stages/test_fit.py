@@ -183,6 +183,7 @@ def test_a_fit_that_misses_its_data_is_called_poor_first(tmp_path, forces):
             assert f"{reported['value']:.4g}" not in lines[0], "a bound of the search is no result"
 
 
+@pytest.mark.slow
 def test_a_fit_with_another_option_solves_nothing_twice(tmp_path):
     forces, model = np.array([0.9, 2.4, 4.6]), block.block_model(counts=(4, 4, 2))
     case = block.make_case(tmp_path / "case", tmp_path / "out", DEPTHS[:3], forces, c=TRUTH["c"], model=model)
@@ -258,6 +259,7 @@ def test_deviation_of_c_is_that_of_the_speed_twice(case):
     assert stiffness.log_deviation == pytest.approx(2 * np.hypot(0.05, 0.10 / np.sqrt(100)))
 
 
+@pytest.mark.slow
 def test_a_solver_on_files_gives_the_same_curve_and_derivative(case, tmp_path):
     """Twin: the session's exact derivative against differences of two runs side by side."""
     model = read_feb(tmp_path / "out" / "build-feb" / "p1" / "model.feb")

@@ -41,6 +41,7 @@ def beside_fat(c: float, *, f_kappa: float = 20.0) -> LimbModel:
     return indentation_model(layered, schedule(DEPTHS), c=c, f_kappa=40.0, m=3.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ogden", "two-term-ogden"])
 def test_forces_have_exact_derivatives_by_c_and_are_not_in_proportion_to_it(name: str) -> None:
     law, n = LAWS[name].beside_layers(), len(DEPTHS)
@@ -133,6 +134,7 @@ def test_states_are_told_apart_beside_fat() -> None:
         curve.close()
 
 
+@pytest.mark.slow
 def test_a_solver_on_files_tells_the_same_share_of_c() -> None:
     model, theta = beside_fat(C0), np.array([40.0, 3.0])
     exact, files = ReferenceCurve(model, c=C0), FileCurve(ReferenceSolver(threads=1), model, c=C0)

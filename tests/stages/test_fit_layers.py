@@ -72,6 +72,7 @@ def shown(result):
     return layers(SimpleNamespace(outcomes=outcomes), SimpleNamespace(name="p1"))
 
 
+@pytest.mark.slow
 def test_derivatives_of_lines_by_the_law_are_those_of_differences():
     curve = law_curve()
     exact = curve(SHAPE, (0, 1))

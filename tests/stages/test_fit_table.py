@@ -22,6 +22,7 @@ from tests.loading import module_at
 C, KNOTS = 0.008, np.linspace(1.0, 11.0, 11)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("larger", [1.0, 4.0])
 def test_a_standard_error_is_the_scatter_of_fits_also_where_noise_is_larger_than_stated(larger):
     """Of m alone, which these data tell; 14 fits tell a deviation to a fifth."""

@@ -33,6 +33,7 @@ def test_a_turned_probe_is_as_deep_as_its_lowest_edge(golden) -> None:
     assert _depth(model, plain) == pytest.approx([3.0, 5.0])
 
 
+@pytest.mark.slow
 def test_a_hidden_change_of_the_thickness_shows_in_the_skin_bone_distance() -> None:
     """The bone on the first B-mode frame is where the tissue that was pressed has it."""
     model = block_model()

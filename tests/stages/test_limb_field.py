@@ -219,6 +219,7 @@ def answering(monkeypatch, less: float, *, stuck: str = "") -> list[str]:
     return asked
 
 
+@pytest.mark.slow
 def test_the_fields_tissue_makes_up_for_what_the_limb_takes_from_a_sites_force(two_sites, monkeypatch):
     asked, warnings = answering(monkeypatch, 0.8), []
     found = as_on_limb(two_sites, lambda each: each, {"p1": "p1", "p2": "p2"}, warnings)
@@ -230,6 +231,7 @@ def test_the_fields_tissue_makes_up_for_what_the_limb_takes_from_a_sites_force(t
     assert not warnings
 
 
+@pytest.mark.slow
 def test_a_site_whose_force_cannot_be_simulated_on_the_limb_stays_and_is_told(two_sites, monkeypatch):
     asked, warnings = answering(monkeypatch, 0.8, stuck="p1"), []
     found = as_on_limb(two_sites, lambda each: each, {"p1": "p1", "p2": "p2"}, warnings)
@@ -259,6 +261,7 @@ def test_a_force_that_the_fields_tissue_does_not_give_is_told(two_sites):
     assert "site p1: the field's tissue gives 50 % of the force" in words
 
 
+@pytest.mark.slow
 def test_a_limb_that_no_tissue_brings_to_a_sites_force_is_told(two_sites, monkeypatch):
     warnings: list[str] = []
 

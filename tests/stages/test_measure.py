@@ -114,6 +114,7 @@ def test_frames_of_one_loop_or_of_a_loop_a_level_are_the_levels_images(tmp_path:
         greys(None)
 
 
+@pytest.mark.slow
 @pytest.mark.drawn
 def test_levels_are_those_the_instruments_saw(folder: Path, tmp_path: Path):
     result = measure(Case.open(folder), out=tmp_path)[0]

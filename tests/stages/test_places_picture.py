@@ -45,6 +45,7 @@ def drawn(
     return kept[0], grid
 
 
+@pytest.mark.slow
 def test_no_point_is_shown_through_a_slanted_limb(monkeypatch):
     figure, grid = drawn(monkeypatch, "p", {})
     angle = {each.name: each.angle_deg for each in grid}
@@ -55,6 +56,7 @@ def test_no_point_is_shown_through_a_slanted_limb(monkeypatch):
         assert max(off) < 90, axes.get_title()
 
 
+@pytest.mark.slow
 def test_title_stays_on_the_picture_and_the_legend_names_what_is_there(monkeypatch):
     site = np.array([0.0, 75 - 20.0, 150.0])
     figure, _ = drawn(monkeypatch, "a-very-long-name-of-a-subject-" * 8, {"p1": site})
@@ -65,6 +67,7 @@ def test_title_stays_on_the_picture_and_the_legend_names_what_is_there(monkeypat
     assert words == ["point of the grid", "site of the case"]
 
 
+@pytest.mark.slow
 def test_a_site_on_a_marker_does_not_hide_its_name(monkeypatch):
     place = np.array([0.0, 75 - 20.0, 150.0])
     figure, _ = drawn(monkeypatch, "p", {"p1": place}, {"1": place})

@@ -262,6 +262,7 @@ def test_a_plate_that_nothing_touches_is_told_with_febios_warning(tmp_path: Path
     assert any("no force acts on plate in any step" in each for each in writer.warnings)
 
 
+@pytest.mark.slow
 def test_warnings_of_febios_log_are_those_of_the_run(febio: Path, tmp_path: Path) -> None:
     """Not those that the settings of limbcli's own models cause."""
     text = (DATA / "punch.feb").read_text()
@@ -274,6 +275,7 @@ def test_warnings_of_febios_log_are_those_of_the_run(febio: Path, tmp_path: Path
     assert words not in own.warnings
 
 
+@pytest.mark.slow
 def test_a_rigid_primary_surface_is_told_before_febio_runs(febio: Path, tmp_path: Path) -> None:
     text = (DATA / "punch.feb").read_text()
     pair = "<primary>skin</primary><secondary>probe_face</secondary>"

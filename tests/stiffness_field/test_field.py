@@ -297,6 +297,7 @@ def test_of_fields_drawn_from_the_prior_itself_95_in_100_points_are_inside(coord
 # ---------------------------------------------------------------- draws
 
 
+@pytest.mark.slow
 def test_draws_have_the_mean_spread_and_correlation_of_the_posterior(coordinates):
     region = limb.region(110, 60)
     one = limb.site("p1", region, 0.012, 0.15, m=Interval(4.0, 4.0 / 1.4, 4.0 * 1.4))

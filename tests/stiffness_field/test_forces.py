@@ -55,6 +55,7 @@ def test_the_fields_tissue_gives_the_force_of_every_site(coordinates):
     assert max(np.abs(np.log(ratios))) > 0.15  # there was something to reproduce
 
 
+@pytest.mark.slow
 def test_between_forces_of_one_place_that_contradict_each_other_the_tissue_stays_possible(coordinates):
     """Three tissues at one place, one with seven times the force of the others: no c, m and f_kappa near what
     is known of them give all, and absurd ones are not taken. What is left of the force is an error of it."""
