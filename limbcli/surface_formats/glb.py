@@ -17,7 +17,7 @@ from limbcli.files.unpacking import UnpackingBudget
 from limbcli.model import Array, IntArray
 
 _HEADER = struct.Struct("<4sIIII")  # magic, version, length of the file; length and kind of the first chunk
-_JSON = 0x4E4F534A
+_JSON, _FAN = 0x4E4F534A, 6
 _BYTES_OF_TRIANGLE = 3 * 3 * 8 + 3 * 8  # at most, its corners and their numbers
 
 
@@ -30,9 +30,7 @@ def read_glb(path: Path) -> tuple[Array, list[IntArray]]:
     import trimesh
 
     stated = _json(path)
-    packed = [each for each in stated.get("extensionsRequired", ()) if "compression" in str(each)]
-    if packed:
-        raise OSError(f"its triangles are packed ({packed[0]}): export it without compression")
+    _refuse(stated)
     n_stated = sum(int(each["count"]) for each in stated.get("accessors", ()))
     if n_stated > path.stat().st_size:  # each takes a byte at least
         raise OSError(f"it states {n_stated} numbers and points, more than its bytes")
@@ -41,6 +39,22 @@ def read_glb(path: Path) -> tuple[Array, list[IntArray]]:
     UnpackingBudget().spend(_BYTES_OF_TRIANGLE * sum(len(getattr(each, "faces", ())) for each in placed))
     mesh = scene.to_mesh()
     return np.asarray(mesh.vertices, float), [np.asarray(mesh.faces, np.int64)]
+
+
+def _refuse(stated: dict[str, Any]) -> None:
+    """What trimesh 5.2 would leave out or take at another size."""
+    packed = [each for each in stated.get("extensionsRequired", ()) if "compression" in str(each)]
+    if packed:
+        raise OSError(f"its triangles are packed ({packed[0]}): export it without compression")
+    for part in (part for mesh in stated.get("meshes", ()) for part in mesh["primitives"]):
+        points = stated["accessors"][part["attributes"]["POSITION"]]
+        for kind, is_there in (
+            ("quantized (normalized whole numbers)", points.get("normalized")),
+            ("stored as differences (a sparse accessor)", points.get("sparse")),
+            ("of triangle fans", part.get("mode") == _FAN),
+        ):
+            if is_there:
+                raise OSError(f"its points are {kind}, which is not read: export it without this")
 
 
 def _json(path: Path) -> dict[str, Any]:

@@ -66,12 +66,24 @@ def test_meshes_are_where_the_scene_places_them_in_mm(tmp_path):
     assert len(read_surface(path).faces) == 8
 
 
+@pytest.mark.parametrize("change", [{"normalized": True}, {"sparse": {"count": 1}}])
+def test_points_that_would_be_read_at_another_size_are_refused(tmp_path, change):
+    path = tmp_path / "skin.glb"
+    write_glb(path, [{"mesh": 0}])
+    content = path.read_bytes()
+    accessors = json.loads(content[20 : content.index(b"BIN\0") - 4])["accessors"]
+    write_glb(path, [{"mesh": 0}], accessors=[accessors[0] | change, accessors[1]])
+    with pytest.raises(OSError, match="export it without this"):
+        read_triangles(path)
+
+
 @pytest.mark.parametrize(
     ("more", "words"),
     [
         ({"extensionsRequired": ["KHR_draco_mesh_compression"]}, "export it without compression"),
         ({"accessors": [{"componentType": 5126, "count": 10**9, "type": "VEC3"}]}, "more than its bytes"),
-        ({"accessors": 3}, "not iterable"),
+        ({"meshes": [{"primitives": [{"attributes": {"POSITION": 0}, "mode": 6}]}]}, "triangle fans"),
+        ({"accessors": 3}, "not"),
         ({"bufferViews": []}, "out of range"),
     ],
 )
