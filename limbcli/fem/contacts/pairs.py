@@ -78,7 +78,14 @@ class Pair:
         return tuple(found), n_touching
 
     def _search(
-        self, p: Patch, points: Array, x: Array, tree: tuple[Array, ...], worker: int, begin: int, end: int
+        self,
+        p: Patch,
+        points: Array,
+        x: Array,
+        tree: tuple[Array, Array, IntArray, IntArray],
+        worker: int,
+        begin: int,
+        end: int,
     ) -> int:
         c = self.contact
         found = search(
