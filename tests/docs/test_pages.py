@@ -217,6 +217,15 @@ def test_the_readme_of_every_folder_of_templates_lists_its_files():
         assert {each for each in files if each not in text} == set()
 
 
+def test_every_file_of_the_program_that_a_page_names_exists():
+    pages = [*PAGES, REPOSITORY / "CONTRIBUTING.md", *(REPOSITORY / "templates").glob("*/README.md")]
+    named = {(page.name, each) for page in pages for each in re.findall(
+        r"`((?:limbcli|tests|templates)/[\w./-]+\.\w+)`", page.read_text(encoding="utf-8")
+    )}  # fmt: skip
+    assert len(named) > 40
+    assert sorted(each for each in named if not (REPOSITORY / each[1]).exists()) == []
+
+
 @pytest.fixture(scope="module")
 def generated(tmp_path_factory: pytest.TempPathFactory) -> set[str]:
     """Pages that are made when the documentation is built, as links name them."""
