@@ -162,7 +162,8 @@ def test_every_key_and_column_of_a_case_is_explained_by_hand_too():
 
 def test_the_readme_counts_the_effects_that_a_diagnosis_may_name():
     may_be_named = sum(each.kind != "numerical" for each in EFFECTS)
-    assert f"which of {may_be_named} effects" in (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    (told,) = re.findall(r"which of (\d+) effects", (REPOSITORY / "README.md").read_text(encoding="utf-8"))
+    assert int(told) == may_be_named, "correct the number in README.md"
 
 
 def test_every_case_is_told_of_in_the_list_of_cases():
