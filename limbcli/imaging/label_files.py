@@ -36,8 +36,8 @@ from limbcli.imaging.labels import checked_labels, require_three_dimensions
 from limbcli.imaging.metaimage import read_metaimage
 from limbcli.imaging.nifti import read_nifti_labels
 from limbcli.imaging.nrrd import Nrrd, read_nrrd
-from limbcli.imaging.own_numbers import own_number_doubts
 from limbcli.imaging.segmentation import BONE, FAT, MARKER, SOFT_TISSUE
+from limbcli.imaging.unnamed_labels import unnamed_label_doubts
 from limbcli.imaging.volume import Volume, require_placed
 
 _ORDER = (SOFT_TISSUE, FAT, BONE, MARKER)  # drawing order: a later kind overwrites an earlier one
@@ -162,7 +162,7 @@ def read_segments(source: LabelSource) -> list[tuple[Segment, Meaning]]:
     ]
     if unknown:
         raise _not_understood(unknown, segments, source)
-    if is_ours and segments and (doubts := own_number_doubts(_in_numbers(segments, source.path))):
+    if is_ours and segments and (doubts := unnamed_label_doubts(_in_numbers(segments, source.path))):
         raise CaseError(
             "the label map does not say what its numbers are, and they cannot be limbcli's: "
             + "; ".join(doubts),

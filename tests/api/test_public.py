@@ -60,7 +60,9 @@ def test_the_names_that_were_asked_for_are_there():
 
 
 def test_names_and_signatures_are_as_promised():
-    assert signatures() == SIGNATURES.read_text(encoding="utf-8").splitlines()
+    assert signatures() == SIGNATURES.read_text(encoding="utf-8").splitlines(), (
+        "if the change is meant: python tests/api/test_public.py, and a line in CHANGELOG.md"
+    )
 
 
 def test_what_type_checkers_see_is_what_is_there():

@@ -76,6 +76,6 @@ def test_another_value_is_refused_before_the_case_is_read(arguments: list[str], 
 
 def test_the_words_are_those_of_the_program():
     assert get_args(SolverName) == KINDS
-    assert get_args(LawName) == tuple(LAWS)
+    assert get_args(LawName) == tuple(LAWS), "list the law in LawName of limbcli/options.py, in this order"
     assert effect_names("") == [each.name for each in EFFECTS]
     assert set(MEASURED) == {each.given for each in items() if each.given}

@@ -163,7 +163,8 @@ def test_every_key_and_column_of_a_case_is_explained_by_hand_too():
 
 def test_the_readme_counts_the_effects_that_a_diagnosis_may_name():
     may_be_named = sum(each.kind != "numerical" for each in EFFECTS)
-    assert f"which of {may_be_named} effects" in (REPOSITORY / "README.md").read_text(encoding="utf-8")
+    (told,) = re.findall(r"which of (\d+) effects", (REPOSITORY / "README.md").read_text(encoding="utf-8"))
+    assert int(told) == may_be_named, "correct the number in README.md"
 
 
 def test_every_case_is_told_of_in_the_list_of_cases():
@@ -217,6 +218,15 @@ def test_the_readme_of_every_folder_of_templates_lists_its_files():
         text = (REPOSITORY / "templates" / folder / "README.md").read_text(encoding="utf-8")
         files = {each.name for each in (REPOSITORY / "templates" / folder).iterdir()} - {"README.md"}
         assert {each for each in files if each not in text} == set()
+
+
+def test_every_file_of_the_program_that_a_page_names_exists():
+    pages = [*PAGES, REPOSITORY / "CONTRIBUTING.md", *(REPOSITORY / "templates").glob("*/README.md")]
+    named = {(page.name, each) for page in pages for each in re.findall(
+        r"`((?:limbcli|tests|templates)/[\w./-]+\.\w+)`", page.read_text(encoding="utf-8")
+    )}  # fmt: skip
+    assert len(named) > 40
+    assert sorted(each for each in named if not (REPOSITORY / each[1]).exists()) == []
 
 
 @pytest.fixture(scope="module")

@@ -61,7 +61,7 @@ def test_every_effect_of_the_catalogue_is_there():
     tissue |= {"nonlinearity", "preload", "contraction", "friction"}
     swe = {"swe-time-scale", "swe-guided-wave", "swe-depth-bias"}
     by_kind = {kind: {e.name for e in EFFECTS if e.kind == kind} for kind in ("numerical", "swe")}
-    assert set(NAMES) == numerical | measurement | tissue | swe
+    assert set(NAMES) == numerical | measurement | tissue | swe, "list the effect above, by its kind"
     assert by_kind == {"numerical": numerical, "swe": swe}
     assert len(NAMES) == len(set(NAMES))
 
@@ -71,8 +71,8 @@ def test_name_source_and_bounds(each: Effect):
     module = FOLDER / f"{each.name.replace('-', '_')}.py"
     assert module.is_file()
     text = module.read_text(encoding="utf-8")
-    assert "Source:" in text
-    assert "Tell-tale:" in text
+    for line in ("Source:", "Tell-tale:"):
+        assert line in text, f"the docstring of {module.name} needs a line that begins with {line}"
     assert each.source
     for p in each.parameters:
         assert p.low <= p.null <= p.high

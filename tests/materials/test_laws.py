@@ -77,7 +77,9 @@ DERIVED = [
 
 def test_every_law_has_its_derivatives_checked() -> None:
     """A fit would take a wrong gradient otherwise."""
-    assert {MATERIALS.get(name, SHEARED).law for name, _ in DERIVED} >= IN_PACKAGE
+    assert {MATERIALS.get(name, SHEARED).law for name, _ in DERIVED} >= IN_PACKAGE, (
+        "add a row for each parameter of the law to DERIVED above"
+    )
 
 
 @pytest.mark.parametrize(("name", "parameter"), DERIVED)
@@ -163,7 +165,7 @@ def test_penalty_modulus_falls_as_the_normal_leaves_the_axis() -> None:
 
 
 def test_every_law_is_tested() -> None:
-    assert set(LAWS) <= set(MATERIALS)
+    assert set(LAWS) <= set(MATERIALS), "add the law, under its name, to MATERIALS of law_checks.py"
 
 
 @pytest.mark.parametrize(

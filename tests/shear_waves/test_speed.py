@@ -107,7 +107,7 @@ def test_the_formulas_agree_for_every_law_and_state(rng, name):
 def test_every_law_is_among_the_examples():
     """A law that is added gets its line above. Prestrain has its own test, of `any_law`."""
     laws = {part.law for each in EXAMPLES.values() for part in (each, *each.parts)}
-    assert laws >= {*LAWS, *WRAPPERS} - {"prestrain"}
+    assert laws >= {*LAWS, *WRAPPERS} - {"prestrain"}, "add the law to EXAMPLES above"
 
 
 def test_the_closed_form_rules_for_the_ogden_family_and_the_tangent_for_the_rest():

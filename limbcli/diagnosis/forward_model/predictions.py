@@ -23,7 +23,7 @@ from limbcli.errors import FitError, SolveError
 from limbcli.model import Array
 
 NOTHING = AtPoints()
-M_BOUNDS = (1.0, 20.0)
+_DIAGNOSED_M_BOUNDS = (1.0, 20.0)
 _DIFFERENCE = 1e-3
 _ON_BOUND = 1e-3  # distance from a bound, as a fraction of the range, within which a parameter is on it
 _ROOMY = 1.5  # standard deviation of the prior of a size, in plausible sizes
@@ -223,6 +223,6 @@ class Predictions:
     def bounds(self, explanation: Explanation) -> tuple[Array, Array]:
         parameters = [slot.parameter for slot in self.slots(explanation)]
         c = self.sites[0].simulations.c
-        low = np.array([np.log(c / 20), np.log(M_BOUNDS[0]), *(p.low for p in parameters)])
-        high = np.array([np.log(c * 20), np.log(M_BOUNDS[1]), *(p.high for p in parameters)])
+        low = np.array([np.log(c / 20), np.log(_DIAGNOSED_M_BOUNDS[0]), *(p.low for p in parameters)])
+        high = np.array([np.log(c * 20), np.log(_DIAGNOSED_M_BOUNDS[1]), *(p.high for p in parameters)])
         return low, high

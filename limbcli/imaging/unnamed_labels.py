@@ -18,15 +18,15 @@ from limbcli.imaging.volume import Volume
 _MOST = 0.5  # fraction of a tissue that may lie where it does not belong
 
 
-def own_number_doubts(labels: Volume) -> list[str]:
+def unnamed_label_doubts(labels: Volume) -> list[str]:
     """What contradicts our numbers, a clause for each; empty if a limb can be so.
 
     labels : whole numbers, in patient LPS
 
     >>> radius = np.hypot(*np.mgrid[-9:10, -9:10])[:, :, None] + np.zeros(3)
-    >>> own_number_doubts(Volume(np.select([radius < 3, radius < 8], [2, 1]), np.eye(4)))
+    >>> unnamed_label_doubts(Volume(np.select([radius < 3, radius < 8], [2, 1]), np.eye(4)))
     []
-    >>> own_number_doubts(Volume(np.select([radius < 3, radius < 8], [1, 2]), np.eye(4)))
+    >>> unnamed_label_doubts(Volume(np.select([radius < 3, radius < 8], [1, 2]), np.eye(4)))
     ['the soft tissue (1, 4) would lie within the bone (2)', 'the bone (2) would lie outside the soft tissue']
     """
     turned, _, _ = labels.along_limb()
