@@ -216,6 +216,16 @@ def test_a_turned_and_shifted_socket_is_brought_back() -> None:
     assert "mm rms" in found.sentence
 
 
+@pytest.mark.parametrize("grow", [-0.15, 0.15])
+def test_a_tight_socket_lands_lower_and_a_loose_one_higher_by_what_the_result_tells(grow: float) -> None:
+    """Its wall is 0.15 mm off the skin, of which the taper makes a height."""
+    found = align(stump(grow=grow, top=110.0).flipped(), SKIN, LINE)
+    higher = found.transform[2, 3]
+    assert found.height_mm is not None
+    assert 0.3 < higher / np.sign(grow) / found.height_mm < 1.5
+    assert "tells its height to" in found.sentence
+
+
 def test_a_round_socket_is_not_turned_at_random() -> None:
     limb = stump(oval=0.0, bump=0.0)
     with pytest.raises(MeshError, match="landmarks") as caught:
