@@ -53,8 +53,8 @@ class Alignment:
         if self.height_mm is None:
             return words
         return (
-            f"{words}. Its shape tells its height to {self.height_mm:.1f} mm either way: a tight socket lands "
-            "lower, a loose one higher than it is worn, which changes the pressures when donned"
+            f"{words}. Its shape tells its height to {self.height_mm:.1f} mm either way: a tight socket "
+            "lands lower, a loose one higher than it is worn, which changes the pressures when donned"
         )
 
 
@@ -200,7 +200,7 @@ def _to_planes(points: Array, near: NearestPoints, start: Array, rounds: int) ->
     transform = start
     for _ in range(rounds):
         A, b, middle = _distances(_moved(points, transform), near)
-        step = np.linalg.solve(_held(A), A.T @ b)
+        step = np.asarray(np.linalg.solve(_held(A), A.T @ b), dtype=float)
         size = float(np.linalg.norm(step[:3]))
         turn = _about(step[:3] / size, min(size, 0.3)) if size > 0 else np.eye(3)
         move = np.eye(4)

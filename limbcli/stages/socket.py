@@ -252,6 +252,10 @@ def _report(
             f"those on bones and cut leave {state.imbalance_n:.2g} N; {together.behind} up to "
             f"{state.penetration_mm:.2f} mm behind the wall"
         )
+        if state.load_n:
+            writer.summary.append(
+                f"{words}: the socket has moved {state.socket_shift_mm[2]:.1f} mm up the limb since donning"
+            )
         if state.load_n and together.knee is not None:
             at_knee = state.moment_about(np.asarray(together.knee.centre)) / 1e3
             writer.summary.append(

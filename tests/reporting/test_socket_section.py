@@ -25,9 +25,8 @@ def page(**outcome):
 
 
 def result(**data) -> StageResult:
-    return StageResult(
-        "socket", "S1", Path("out/socket"), data={"patches": [ROW], "pressed": "liner", **data}, warnings=("soft",)
-    )
+    shown = {"patches": [ROW], "pressed": "liner", **data}
+    return StageResult("socket", "S1", Path("out/socket"), data=shown, warnings=("soft",))
 
 
 def test_a_row_has_its_limits():
