@@ -116,7 +116,7 @@ def test_a_socket_that_opens_at_the_wrong_end_or_twice_is_refused() -> None:
     upside_down = Triangles(sheet.points * [1.0, 1.0, -1.0] + [0.0, 0.0, 110.0], sheet.faces)
     with pytest.raises(MeshError, match="opens at the limb's distal end"):
         check_openings(upside_down, LINE)
-    with pytest.raises(MeshError, match=r"a hole .* a valve's may have 1\d mm"):
+    with pytest.raises(MeshError, match=r"a hole .* a valve's may have \d+ mm"):
         check_openings(sheet.part(sheet.centroids[:, 2] > 20.0).flipped(), LINE)
 
 
