@@ -253,8 +253,10 @@ def _report(
             f"{state.penetration_mm:.2f} mm behind the wall"
         )
         if state.load_n:
+            shift = float(state.socket_shift_mm[2])
+            where = "down" if shift < 0 else "up"
             writer.summary.append(
-                f"{words}: the socket has moved {state.socket_shift_mm[2]:.1f} mm up the limb since donning"
+                f"{words}: the socket has moved {abs(shift):.1f} mm {where} the limb since donning"
             )
         if state.load_n and together.knee is not None:
             at_knee = state.moment_about(np.asarray(together.knee.centre)) / 1e3

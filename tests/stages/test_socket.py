@@ -87,7 +87,7 @@ def sleeve(*, grow: float = 0.0, top: float = 110.0, bottom: float = 0.0) -> Tri
 def test_the_forces_are_in_balance_and_the_patches_are_listed(made):
     donned, loaded = made.data["states"]
     assert loaded["force_on_socket_n"][2] == pytest.approx(60.0, rel=1e-4)
-    assert f"moved {loaded['socket_shift_mm'][2]:.1f} mm up the limb" in str(made)
+    assert f"moved {loaded['socket_shift_mm'][2]:.1f} mm up the limb" in str(made)  # pressed onto it
     assert max(donned["imbalance_n"], loaded["imbalance_n"]) < 1e-4 * 60.0
     with made.files["patches"].open() as stream:
         rows = list(csv.DictReader(stream))
