@@ -8,7 +8,7 @@ all of these checks at once.
 from __future__ import annotations
 
 import shlex
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from math import nan
@@ -32,6 +32,7 @@ from limbcli.errors.problems import Problem, checked, errors_of
 __all__ = ["CASE_FILE", "Case", "Imaging", "ModelOptions", "Probe", "Site", "StatedNoise", "read_case"]
 
 CASE_FILE = "case.toml"
+_NO_PROBE = {"name": "", "length_mm": nan, "width_mm": nan, "edge_radius_mm": nan}
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
@@ -137,11 +138,15 @@ def _place(site: Site) -> str:
     return f"marker {site.marker}" if site.position is None else ", ".join(f"{x:.1f}" for x in site.position)
 
 
-def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
-    """The case (None if there are errors), and every problem found."""
+def read_case(folder: Path, *, limb_alone: bool = False) -> tuple[Case | None, list[Problem]]:
+    """The case (None if there are errors), and every problem found.
+
+    limb_alone : a case with a socket and without sites needs no probe either
+    """
     raw, problems = _read_toml(folder)
     if raw is None:
         return None, problems
+    limb_alone &= "socket" in raw and "site" not in raw
     reading = CaseReading.of(raw, folder)
     reading.table(raw, schema.TOP, "case.toml")
     _check_format(raw, reading)
@@ -149,10 +154,12 @@ def read_case(folder: Path) -> tuple[Case | None, list[Problem]]:
         "subject": schema.SUBJECT, "imaging": schema.IMAGING, "probe": schema.PROBE, "model": schema.MODEL,
         "files": schema.FILES,
     }  # fmt: skip
-    parts = _read_tables(raw, tables, reading)
+    parts = _read_tables(raw, tables, reading, optional=("probe",) if limb_alone else ())
     imaging = read_imaging(parts, reading, present="imaging" in raw)
-    sites = _read_sites(raw.get("site"), reading, imaging)
+    sites = [] if limb_alone else _read_sites(raw.get("site"), reading, imaging)
     read_socket(raw, reading)
+    if limb_alone and "probe" not in raw:
+        parts["probe"] = _NO_PROBE
     found = reading.problems
     return None if errors_of(found) else _assemble(folder, raw, parts, imaging, sites), found
 
@@ -163,15 +170,18 @@ def _check_format(raw: Mapping[str, Any], reading: CaseReading) -> None:
 
 
 def _read_tables(
-    raw: Mapping[str, Any], tables: Mapping[str, Mapping[str, schema.Key]], reading: CaseReading
+    raw: Mapping[str, Any],
+    tables: Mapping[str, Mapping[str, schema.Key]],
+    reading: CaseReading,
+    optional: Sequence[str] = (),
 ) -> dict[str, dict[str, Any]]:
-    """Values by table; a missing table that is required is a problem."""
+    """Values by table; a missing table that is neither optional nor always so is a problem."""
     parts: dict[str, dict[str, Any]] = {}
     for name, keys in tables.items():
         if name in raw:
             parts[name] = reading.table(raw[name], keys, name)
             continue
-        if name not in ("model", "files"):
+        if name not in ("model", "files", *optional):
             reading.wrong(f"case.toml has no table [{name}]", f"add [{name}]")
         parts[name] = schema.check_table({}, keys, name=name, file=reading.file)[0]
     return parts
@@ -210,7 +220,7 @@ def _read_images(raw: Mapping[str, Any], folder: Path) -> tuple[Case | None, lis
     others = CaseReading.of(raw, folder)  # its problems are not of this reading
     sizes = others.table(raw.get("probe", {}), schema.PROBE, "probe")
     if others.problems:
-        sizes = {"name": "", "length_mm": nan, "width_mm": nan, "edge_radius_mm": nan}
+        sizes = _NO_PROBE
     parts |= {"probe": sizes, "model": others.table(raw.get("model", {}), schema.MODEL, "model")}
     return _assemble(folder, raw, parts, imaging, _read_sites(raw.get("site"), others, imaging)), []
 

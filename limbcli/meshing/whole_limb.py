@@ -32,7 +32,7 @@ from limbcli.progress import SILENT, Progress
 PROXIMAL_CUT, DISTAL_CUT, HELD = "proximal_cut", "distal_cut", "held"
 # Nodes of a mesh times its cubed edge length over the volume: of whole limbs, by element.
 _NODES_PER_VOLUME = {"tet10": 16.0, "tet4": 2.3}
-_OFF, _ATTEMPTS = 0.2, 3  # accepted deviation of the number of nodes from the requested one; attempts
+OFF, _ATTEMPTS = 0.2, 3  # accepted deviation of the number of nodes from the requested one; attempts
 _SAMPLES = 4e6  # samples of the distance grid
 _SPACING = (1.0, 2.5)  # mm between them
 _FINEST = 0.45  # smallest edge length over thin tissue and on bends, as a fraction of the usual one
@@ -184,7 +184,7 @@ def _sized(
         ratio = _n_nodes(volume, options.element) / options.nodes
         if best is None or abs(np.log(ratio)) < best[0]:
             best = abs(float(np.log(ratio))), volume, kinds, size
-        if abs(ratio - 1) <= _OFF:
+        if abs(ratio - 1) <= OFF:
             break
         size *= ratio ** (1 / 3)
     assert best is not None

@@ -7,7 +7,7 @@ Source: Kabsch 1976, Acta Cryst. A32, 922 (rotation of landmarks); Chen and Medi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -34,18 +34,27 @@ class Alignment:
     """transform (4, 4) : from the socket's frame to the limb's
     rms_mm, largest_mm : distance of landmarks, or of the inner face from the skin, afterwards
     turned_deg : rotation
+    height_mm : of an alignment by shape, how far it may be moved along the limb either way, turned and
+        shifted with it, until the residual is 0.1 mm larger
     """
 
     transform: Array
     rms_mm: float
     largest_mm: float
     turned_deg: float
+    height_mm: float | None = None
 
     @property
     def sentence(self) -> str:
-        return (
+        words = (
             f"socket aligned by a rotation of {self.turned_deg:.1f} degrees: residual {self.rms_mm:.1f} mm "
             f"rms, {self.largest_mm:.1f} mm at most"
+        )
+        if self.height_mm is None:
+            return words
+        return (
+            f"{words}. Its shape tells its height to {self.height_mm:.1f} mm either way: a tight socket "
+            "lands lower, a loose one higher than it is worn, which changes the pressures when donned"
         )
 
 
@@ -142,7 +151,7 @@ def align(
                 rms_mm=rms,
                 angle_deg=angle,
             )
-    return _alignment(best, distance)
+    return replace(_alignment(best, distance), height_mm=_height(samples, near, best, line.along))
 
 
 def misplaced(face: Triangles, tilt_deg: Sequence[float], shift_mm: Sequence[float]) -> Triangles:
@@ -188,19 +197,10 @@ def _start(along: Array, tip: Array, line: CentreLine, skin: Triangles, angle: f
 
 def _to_planes(points: Array, near: NearestPoints, start: Array, rounds: int) -> Array:
     """Iterated closest points, moved onto the tangent planes of the skin."""
-    transform, normals = start, near.surface.area_vectors
-    normals = normals / np.maximum(np.linalg.norm(normals, axis=1), 1e-300)[:, None]
+    transform = start
     for _ in range(rounds):
-        x = _moved(points, transform)
-        nearest, facets = near.of(x)
-        away = np.linalg.norm(x - nearest, axis=1)
-        kept = away <= np.quantile(away, _TRIM)
-        x, q, n = x[kept], nearest[kept], normals[facets[kept]]
-        middle = x.mean(axis=0)
-        A = np.concatenate([np.cross(x - middle, n), n], axis=1)
-        b = np.einsum("ij,ij->i", q - x, n)
-        # a socket that is rotationally symmetric leaves a direction without information
-        step = np.linalg.solve(A.T @ A + 1e-6 * np.trace(A.T @ A) / 6 * np.eye(6), A.T @ b)
+        A, b, middle = _distances(_moved(points, transform), near)
+        step = np.asarray(np.linalg.solve(_held(A), A.T @ b), dtype=float)
         size = float(np.linalg.norm(step[:3]))
         turn = _about(step[:3] / size, min(size, 0.3)) if size > 0 else np.eye(3)
         move = np.eye(4)
@@ -211,11 +211,38 @@ def _to_planes(points: Array, near: NearestPoints, start: Array, rounds: int) ->
     return transform
 
 
+def _distances(x: Array, near: NearestPoints) -> tuple[Array, Array, Array]:
+    """Of the nearest points among x: how their distances (n,) from the tangent planes of the skin change
+    (n, 6) with a turn about their middle (3,) and a shift; those distances; and the middle."""
+    nearest, facets = near.of(x)
+    away = np.linalg.norm(x - nearest, axis=1)
+    kept = away <= np.quantile(away, _TRIM)
+    n = near.surface.area_vectors[facets[kept]]
+    n = n / np.maximum(np.linalg.norm(n, axis=1), 1e-300)[:, None]
+    x, q = x[kept], nearest[kept]
+    middle = x.mean(axis=0)
+    return np.concatenate([np.cross(x - middle, n), n], axis=1), np.einsum("ij,ij->i", q - x, n), middle
+
+
+def _held(A: Array) -> Array:
+    """A' A (6, 6); a socket that is rotationally symmetric leaves a direction without information."""
+    return np.asarray(A.T @ A + 1e-6 * np.trace(A.T @ A) / 6 * np.eye(6))
+
+
 def _residual(points: Array, near: NearestPoints, transform: Array) -> tuple[float, Array]:
     """Root mean square distance (mm) of the nearest 90 %, and their distances."""
     x = _moved(points, transform)
     away = np.sort(np.linalg.norm(x - near.of(x)[0], axis=1))[: int(_TRIM * len(x))]
     return float(np.sqrt((away**2).mean())), away
+
+
+def _height(points: Array, near: NearestPoints, placed: Array, along: Array) -> float:
+    """How far (mm) placed points may move along a direction, with the motion across it and the turn that fit
+    best, until their root mean square distance from the tangent planes of the skin is 0.1 mm larger."""
+    A, b = _distances(_moved(points, placed), near)[:2]
+    inverse = np.linalg.inv(_held(A))[3:, 3:]
+    rms, stiffness = float(np.sqrt((b**2).mean())), 1.0 / float(along @ inverse @ along)
+    return float(np.sqrt(((rms + _AS_GOOD[1]) ** 2 - rms**2) * len(b) / stiffness))
 
 
 def _alignment(transform: Array, distance: Array) -> Alignment:

@@ -125,7 +125,8 @@ def check_openings(face: Triangles, line: CentreLine, *, where: str = "socket") 
         place, size = max(holes, key=lambda rim: rim[1])
         raise MeshError(
             f"the socket is open: besides its brim it has a hole {size:.0f} mm wide at "
-            f"({', '.join(f'{each:.0f}' for each in place)}) of the limb's upright frame",
+            f"({', '.join(f'{each:.0f}' for each in place)}) of the limb's upright frame; a valve's may have "
+            f"{_HOLE * extent:.0f} mm",
             where=where,
             fix="close it in the program that made it; the limb must not bulge through it",
             hole_mm=float(size),

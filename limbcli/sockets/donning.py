@@ -268,8 +268,8 @@ def don_and_load(
             raise MeshError(
                 "the donned socket touches the skin nowhere: a load along the limb has nothing to act on",
                 where="socket",
-                fix="check its place; make it tighter (all_mm, rectifications_mm), or move it further "
-                "up the limb",
+                fix="check its place: a socket from a file may lie too low, or be too wide for this limb; "
+                "one made from the skin is made tighter with all_mm or rectifications_mm",
             )
         if len(states) == 1 and len(running.model.steps) > 1:
             running.model = with_gradual_release(running.model, states[0])

@@ -64,7 +64,7 @@ class CaseCheck:
 def check(folder: Path, *, progress: Progress = SILENT) -> CaseCheck:
     """Validate a case folder completely; problems of the case are returned, never raised."""
     progress.event("stage", name="check")
-    case, problems = read_case(folder)
+    case, problems = read_case(folder, limb_alone=True)
     looked_at = [CASE_FILE]
     raw = _raw(folder)
     for label, path, reader in _readers(raw, folder):

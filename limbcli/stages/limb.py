@@ -25,6 +25,7 @@ from limbcli.meshing.surfaces import Triangles
 from limbcli.meshing.whole_limb import (
     DISTAL_CUT,
     HELD,
+    OFF,
     PROXIMAL_CUT,
     LimbMesh,
     LimbMeshOptions,
@@ -175,7 +176,7 @@ def limb(
             used = [places[name] for name in stiffness.sites if name in places]
             values = element_values(centroids, stiffness, np.array(used).reshape(-1, 3))
         model = with_values(values)
-        _report(writer, found, model, parts, frame, stiffness, values)
+        _report(writer, found, model, parts, frame, stiffness, values, options.nodes)
         if field is not None:
             _report_field(writer, field, values)
             _write_draws(writer, field, model, options.draws, templates, progress)
@@ -412,9 +413,17 @@ def _body(name: str) -> str:
 # ---------------------------------------------------------------- report
 
 
+def _nodes(number: int, asked: int) -> str:
+    """
+    >>> _nodes(11048, 4000), _nodes(4284, 4000)
+    ('11048 nodes (4000 were asked for)', '4284 nodes')
+    """
+    return f"{number} nodes" + (f" ({asked} were asked for)" if abs(number - asked) > OFF * asked else "")
+
+
 def _report(
     writer: StageWriter, found: LimbMesh, model: LimbModel, parts: LimbParts, frame: LimbFrame,
-    stiffness: TissueLaw, values: ElementValues,
+    stiffness: TissueLaw, values: ElementValues, asked: int,
 ) -> None:  # fmt: skip
     mesh = model.mesh
     cells = np.concatenate([each.cells for each in mesh.solid_blocks])
@@ -444,8 +453,8 @@ def _report(
         },
     )  # fmt: skip
     writer.summary.append(
-        f"{len(mesh.points)} nodes, {len(cells)} {mesh.solid_blocks[0].kind}, edges {found.size:.1f} mm; "
-        f"smallest dihedral angle {angles.min():.1f} deg"
+        f"{_nodes(len(mesh.points), asked)}, {len(cells)} {mesh.solid_blocks[0].kind}, "
+        f"edges {found.size:.1f} mm; smallest dihedral angle {angles.min():.1f} deg"
     )
     writer.summary.append(f"bones: {', '.join(each.name for each in model.bodies)}")
     writer.summary.append(

@@ -213,7 +213,7 @@ def _intervals(
 def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput) -> None:
     fit = together.fit
     writer.data.update(
-        socket=together.words, friction=given.friction, loads_n=list(given.loads),
+        socket=together.words, pressed=together.pressed, friction=given.friction, loads_n=list(given.loads),
         deepest_interference_mm=fit.deepest_mm, widest_gap_mm=fit.widest_mm, frame=together.frame.to_json(),
     )  # fmt: skip
     writer.summary.append(f"socket: {together.words}")
@@ -222,7 +222,7 @@ def _report_fit(writer: StageWriter, together: LimbInSocket, given: SocketInput)
         writer.summary.append(moved.sentence)
         writer.data["alignment"] = {
             "to_upright_frame": moved.transform, "rms_mm": moved.rms_mm, "largest_mm": moved.largest_mm,
-            "turned_deg": moved.turned_deg,
+            "turned_deg": moved.turned_deg, "height_uncertainty_mm": moved.height_mm,
         }  # fmt: skip
     writer.summary.append(
         f"before donning the wall lies up to {fit.deepest_mm:.1f} mm inside the skin and "
@@ -249,9 +249,15 @@ def _report(
         x, y, z = state.socket_force_n
         writer.summary.append(
             f"{words}: forces on the socket {z:+.2f} N along the axis, {np.hypot(x, y):.2f} N across; "
-            f"those on bones and cut leave {state.imbalance_n:.2g} N; the skin lies up to "
+            f"those on bones and cut leave {state.imbalance_n:.2g} N; {together.behind} up to "
             f"{state.penetration_mm:.2f} mm behind the wall"
         )
+        if state.load_n:
+            shift = float(state.socket_shift_mm[2])
+            where = "down" if shift < 0 else "up"
+            writer.summary.append(
+                f"{words}: the socket has moved {abs(shift):.1f} mm {where} the limb since donning"
+            )
         if state.load_n and together.knee is not None:
             at_knee = state.moment_about(np.asarray(together.knee.centre)) / 1e3
             writer.summary.append(
@@ -260,7 +266,7 @@ def _report(
             )
         if state.penetration_mm > max(_SOFT_MM, _SOFT * together.fit.deepest_mm):
             writer.warnings.append(
-                f"{words}: the skin lies up to {state.penetration_mm:.1f} mm behind the wall, which the "
+                f"{words}: {together.behind} up to {state.penetration_mm:.1f} mm behind the wall, which the "
                 "contact allows: pressures are too low there; raise --contact-penalty, or give a (smaller) "
                 "--penetration-mm"
             )

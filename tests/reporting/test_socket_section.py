@@ -25,14 +25,14 @@ def page(**outcome):
 
 
 def result(**data) -> StageResult:
-    return StageResult(
-        "socket", "S1", Path("out/socket"), data={"patches": [ROW], **data}, warnings=("soft",)
-    )
+    shown = {"patches": [ROW], "pressed": "liner", **data}
+    return StageResult("socket", "S1", Path("out/socket"), data=shown, warnings=("soft",))
 
 
 def test_a_row_has_its_limits():
     shown = socket(page(result=result(intervals={"patches": [LIMITS]})))
     assert shown is not None
+    assert shown.tables[0].caption == "Pressure and shear on the liner, kPa (95 % over the limb's draws)"
     (row,) = shown.tables[0].rows
     assert [cell.text for cell in row[:3]] == ["400 N: tibial end", "8.5 cm²", "31.0 (28.0 to 34.5)"]
     assert row[3].text == "55.0"
@@ -51,7 +51,7 @@ def test_the_last_load_can_be_turned(tmp_path: Path):
     }
     np.savez(tmp_path / "skin.npz", points=corners, **values)
     files = {"picture_donned": "p.png", "skin": "skin.npz"}
-    found = StageResult("socket", "S1", tmp_path, data={"patches": [ROW]}, files=files)
+    found = StageResult("socket", "S1", tmp_path, data={"patches": [ROW], "pressed": "skin"}, files=files)
     shown = socket(page(result=found))
     assert shown is not None
     still, turned = shown.pictures

@@ -324,8 +324,9 @@ def test_a_failure_under_a_load_says_up_to_which_time_there_is_a_solution() -> N
 
 
 def test_a_socket_that_touches_nowhere_says_so() -> None:
-    with pytest.raises(MeshError, match="touches the skin nowhere"):
+    with pytest.raises(MeshError, match="touches the skin nowhere") as caught:
         don_and_load(limb(), face(tight=-1.0), replace(OPTIONS, donning_steps=1, friction=0.0), threads=1)
+    assert "from a file" in caught.value.fix, "which has no all_mm"
 
 
 def test_what_is_written_is_read_again(tmp_path: Path) -> None:

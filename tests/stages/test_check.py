@@ -261,3 +261,13 @@ def test_what_no_limb_has_is_told_of_a_socket(folder: Path):
     assert "did you mean 'tibial_end'?" in [each.fix for each in found.problems]
     assert "socket.stl" in found.looked_at
     assert [each.where for each in found.problems if "socket.stl" in each.where]
+
+
+def test_a_case_of_a_socket_alone_needs_neither_probe_nor_site(tmp_path: Path):
+    """But without a socket both are asked for, and the table of the socket is checked."""
+    (tmp_path / "mri").mkdir()
+    bare = CASE.partition("[probe]")[0]
+    for table, missing in (("", "no site"), ("[socket]\n", ""), ("[socket]\nall_m = 1.0\n", "'all_m'")):
+        (tmp_path / "case.toml").write_text(bare + table)
+        told = [each.what for each in check(tmp_path).problems if "case.toml" in each.where]
+        assert any(missing in each for each in told) if missing else not told

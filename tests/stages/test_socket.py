@@ -87,6 +87,7 @@ def sleeve(*, grow: float = 0.0, top: float = 110.0, bottom: float = 0.0) -> Tri
 def test_the_forces_are_in_balance_and_the_patches_are_listed(made):
     donned, loaded = made.data["states"]
     assert loaded["force_on_socket_n"][2] == pytest.approx(60.0, rel=1e-4)
+    assert f"moved {loaded['socket_shift_mm'][2]:.1f} mm up the limb" in str(made)  # pressed onto it
     assert max(donned["imbalance_n"], loaded["imbalance_n"]) < 1e-4 * 60.0
     with made.files["patches"].open() as stream:
         rows = list(csv.DictReader(stream))
@@ -132,6 +133,8 @@ def test_a_liner_that_slides_leaves_its_pressures_on_the_skin(limb_made, tmp_pat
     options = replace(QUICK, penetration_mm=0.0)
     result = socket(lined, out=tmp_path, options=options)
     assert "slides on the skin" in result.data["socket"]
+    assert any("skin and liner lie up to" in each for each in result.summary)
+    assert result.data["pressed"] == "skin"
     assert max(each["share"] for each in result.data["balance"]) < 1e-4
     written = read_feb(result.path("feb"))
     socket_side, skin_side = written.contacts

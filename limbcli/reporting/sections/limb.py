@@ -84,12 +84,13 @@ def socket(result: StageResult, _: ReportData) -> Reportlet:
 
 def _pictures(result: StageResult) -> tuple[Picture, ...]:
     """Pictures of the states, and a 3-D view of the last one (its picture, where there is no WebGL)."""
-    alt = "Pressure on the skin from four sides and unrolled about the limb's axis."
+    pressed = result.data["pressed"]
+    alt = f"Pressure on the {pressed} from four sides and unrolled about the limb's axis."
     names = [name for name in result.files if name.startswith("picture_")]
     found = pictures_of(result, {name: (name.replace("_", "-"), alt) for name in names})
     if not found or "skin" not in result.files or not result.path("skin").is_file():
         return found
-    alt = "Pressure on the skin under the last load."
+    alt = f"Pressure on the {pressed} under the last load."
     return (*found, replace(found[-1], name="socket-3d", alt=alt, scene=_scene(result)))
 
 
@@ -111,7 +112,8 @@ def _table(data: Mapping[str, Any]) -> PageTable:
         area = quantity(each["contact_area_mm2"] / 100.0, "cm²", digits=2)
         rows.append((f"{when}: {patch.replace('_', ' ')}", area, *cells))
     names = ("load and patch", "in contact", "mean", "95th percentile", "peak", "mean shear")
-    return table("Pressure and shear on the skin, kPa (95 % over the limb's draws)", names, rows)
+    title = f"Pressure and shear on the {data['pressed']}, kPa"
+    return table(title + (" (95 % over the limb's draws)" if limits else ""), names, rows)
 
 
 def _cell(value: float, limits: tuple[float, float] | None) -> Cell:

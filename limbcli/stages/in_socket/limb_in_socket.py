@@ -64,6 +64,11 @@ class LimbInSocket:
         """Name of the surface that bears the pressures."""
         return "skin" if self.slides else self.touching
 
+    @property
+    def behind(self) -> str:
+        """What lies behind a face that it meets, for messages."""
+        return "skin and liner lie" if self.slides else f"the {self.touching} lies"
+
     def in_lps(self, points: Array) -> Array:
         """Points (n, 3) of the upright frame in patient LPS."""
         return np.asarray(points @ _turn(self.frame) + self.frame.origin)
