@@ -205,6 +205,12 @@ def _intervals(
             f"the intervals take the pressures as linear in the socket's {places}, from one side: the other "
             "has no equilibrium; more load steps may find it (--load-steps)"
         )
+    if found.rough:
+        load, patch, off_kpa = max(found.rough, key=lambda each: each[2])
+        writer.warnings.append(
+            f"intervals of {len(found.rough)} mean pressures are rough, most that of "
+            f"{patch.replace('_', ' ')} under {load:g} N: the held-out solve is off by {off_kpa:.1f} kPa there"
+        )
     if found.error_fraction > _MOST_OFF:
         writer.warnings.append("the intervals are rough: the pressures are not linear over the draws")
     return found.intervals

@@ -379,6 +379,26 @@ def test_where_one_side_has_no_equilibrium_the_other_gives_a_line_and_neither_no
         solved_where(impossible[1])
 
 
+@pytest.mark.parametrize(("together", "is_rough"), [(0.0, False), (60.0, True)])
+def test_a_patch_that_is_no_sum_of_its_parts_is_told(tmp_path: Path, together: float, is_rough: bool):
+    """Its pressure has the product of c and friction, which one solve for each does not see."""
+    rng = np.random.default_rng(11)
+    c = 8.0 * np.exp(0.2 * rng.standard_normal(400))
+    lines = ["draw,c_mean_kpa,m_mean", *(f"{k},{each},3.0" for k, each in enumerate(c))]
+    (tmp_path / "draws.csv").write_text("\n".join(lines))
+
+    def rows(c, friction):
+        whole = row(c, friction)
+        product = together * np.log(c) * (friction - 0.3) / 0.1
+        return [whole, replace(whole, patch="popliteal", mean_kpa=whole.mean_kpa + product)]
+
+    found = pressure_intervals(
+        _one_element(c=0.008), 0.3, rows(1.0, 0.3), drawn_values(tmp_path / "draws.csv", 0.3, 0.1),
+        lambda model, friction, _: rows(model.materials["tissue"].parameters["c1"] / 0.004, friction), SILENT,
+    )  # fmt: skip
+    assert [each[:2] for each in found.rough] == [(400.0, "popliteal")] * is_rough
+
+
 def test_few_draws_of_the_limb_do_not_narrow_where_the_socket_may_sit(tmp_path: Path):
     lines = ["draw,c_mean_kpa,m_mean", *(f"{k},8.0,3.0" for k in range(50))]
     (tmp_path / "draws.csv").write_text("\n".join(lines))

@@ -37,6 +37,8 @@ _REPEATS = 40  # frictions and places drawn with every draw of the limb: 50 alon
 _LEAST = 1e-3  # deviations below this are none
 _LEAST_FRICTION = 0.01
 _ENDS = (2.5, 97.5)  # percentiles of a 95 % interval
+# What the held-out solve may miss, of half an interval; and of the largest pressure, what does not matter
+_ROUGH, _SLIGHT = 0.5, 0.05
 
 Pose = tuple[float, float, float, float]
 """How far a socket is off its place: tilts about x and y of the upright frame, deg; shifts along them, mm."""
@@ -71,9 +73,10 @@ Solved = Callable[[LimbModel, float, Pose], list[PatchPressure]]
 @dataclass(frozen=True, eq=False)
 class PressureIntervals:
     """intervals : 95 %, by (load, patch, quantity); `error_fraction` : of the held-out solve, rms of all mean
-    pressures relative to their largest; `shares` : by load, what part of the variance of the mean pressure on
-    the skin c, m, friction and alignment make; `n_solves` : besides the first; `one_sided` : places that are
-    taken as lines, since their other side had no equilibrium
+    pressures relative to their largest; `rough` : load, patch and kPa of mean pressures that this solve
+    misses by more than a quarter of their interval; `shares` : by load, what part of the variance of the mean
+    pressure on the skin c, m, friction and alignment make; `n_solves` : besides the first; `one_sided` :
+    places that are taken as lines, since their other side had no equilibrium
     """
 
     intervals: dict[tuple[float, str, str], Interval]
@@ -82,6 +85,7 @@ class PressureIntervals:
     deviations: dict[str, float]
     n_solves: int
     one_sided: tuple[str, ...] = ()
+    rough: tuple[tuple[float, str, float], ...] = ()
 
 
 def drawn_values(
@@ -131,18 +135,20 @@ def pressure_intervals(
     low, high = np.maximum(np.percentile(y + total, _ENDS, axis=0), 0.0)
     keys = [(row.load_n, row.patch, name) for row in base for name in QUANTITIES]
     means = [k for k, key in enumerate(keys) if key[2] == "mean_kpa"]
-    off = (predicted - actual)[means]
+    off, largest = (predicted - actual)[means], max(np.abs(y[means]).max(), 1e-12)
+    rough = np.abs(off) > np.maximum(_ROUGH / 2 * (high - low)[means], _SLIGHT * largest)
     shares = {
         keys[k][0]: _shares(parts[:, :, k], total[:, k], [NAMES[each] for each in varied])
         for k in means if keys[k][1] == WHOLE
     }  # fmt: skip
     return PressureIntervals(
         {key: (float(low[k]), float(high[k])) for k, key in enumerate(keys)},
-        float(np.sqrt((off**2).mean()) / max(np.abs(y[means]).max(), 1e-12)),
+        float(np.sqrt((off**2).mean()) / largest),
         shares,
         {name: float(each) for name, each in zip(("ln_c", "ln_m", *NAMES[2:]), deviations, strict=True)},
         solves.done,
         tuple(NAMES[k] for k, each in zip(varied, responses, strict=True) if each.one_sided),
+        tuple((*keys[means[k]][:2], float(abs(off[k]))) for k in np.flatnonzero(rough)),
     )
 
 
