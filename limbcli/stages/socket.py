@@ -209,7 +209,7 @@ def _intervals(
         load, patch, off_kpa = max(found.rough, key=lambda each: each[2])
         writer.warnings.append(
             f"intervals of {len(found.rough)} mean pressures are rough, most that of "
-            f"{patch.replace('_', ' ')} under {load:g} N: the held-out solve is off by {off_kpa:.1f} kPa there"
+            f"{patch.replace('_', ' ')} under {load:g} N: the held-out solve is {off_kpa:.1f} kPa off there"
         )
     if found.error_fraction > _MOST_OFF:
         writer.warnings.append("the intervals are rough: the pressures are not linear over the draws")
