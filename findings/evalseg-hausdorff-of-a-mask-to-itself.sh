@@ -11,7 +11,7 @@ set -eu
 folder=$(mktemp -d)
 trap 'rm -rf "$folder"' EXIT
 python3 -m venv "$folder/venv"
-"$folder/venv/bin/pip" install -q evalseg==2.7 memory_profiler edt==3.0.0 medpy==0.5.2 numpy==2.2.6 scipy==1.17.1 \
+"$folder/venv/bin/pip" install -q evalseg==2.7 memory_profiler==0.61.0 edt==3.0.0 medpy==0.5.2 numpy==2.2.6 scipy==1.17.1 \
   2>/dev/null
 MPLBACKEND=Agg MPLCONFIGDIR="$folder" "$folder/venv/bin/python" -W ignore - <<'PYTHON'
 import sys
