@@ -172,7 +172,7 @@ class System(RigidLoads, ElementLoops):
         self.gather_tied(state, nodal, bodies)
         self.add_springs(state, bodies)
         applied = self.applied(state.time)
-        residual = np.concatenate([nodal[self.free], [bodies[k] - applied[k] for k in self.rigid]])
+        residual = np.concatenate([nodal[self.free], self.of_rigid(bodies - applied)])
         held = internal[~self.free]
         with np.errstate(over="ignore"):  # a diverging iterate may overflow
             acting = (held, pressed, applied[:, :3], loads)
@@ -259,7 +259,7 @@ class System(RigidLoads, ElementLoops):
             return self.collect(self._contact_nodal(contact))
         nodal, bodies = self.contact_forces(contact)
         self.gather_tied(contact.state, nodal, bodies)
-        return np.concatenate([nodal[self.free], [bodies[k] for k in self.rigid]])
+        return np.concatenate([nodal[self.free], self.of_rigid(bodies)])
 
     def add_contact(self, contact: ContactState, values: Array, *, couples: bool = True) -> Array:
         """A copy of the matrix values with the symmetric part of the contact tangent added, except for what
@@ -384,8 +384,7 @@ class System(RigidLoads, ElementLoops):
             return out
         nodal, bodies = self.contact_times(contact, v, motions)
         out[:n] = self.collect(nodal)
-        for k, (b, dof) in enumerate(self.rigid):
-            out[n + k] = bodies[b, dof]
+        out[n:] = self.of_rigid(bodies)
         return out
 
     def close(self) -> None:

@@ -66,6 +66,37 @@ def test_tangent_agrees_with_differences(kind: str, change, rng: np.random.Gener
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
 
 
+def test_turns_weigh_as_much_in_a_large_model_as_in_a_small_one(rng: np.random.Generator) -> None:
+    """Ten times as large, all forces are a hundred times as large: the relative residual is the same, which
+    it is not if moments in N mm stand beside forces."""
+    small, factor = on_a_spring(punch("tet4", (3, 2, 2))), 10.0
+    (spring,), (contact,) = small.springs, small.contacts
+    large = replace(
+        small,
+        mesh=replace(small.mesh, points=factor * small.mesh.points),
+        bodies=tuple(
+            replace(each, center_of_mass=tuple(factor * np.array(each.center_of_mass)))
+            for each in small.bodies
+        ),
+        springs=(
+            replace(
+                spring, stiffness=factor * spring.stiffness, free_length=factor * spring.free_length,
+                insertion_a=tuple(factor * np.array(spring.insertion_a)),
+                insertion_b=tuple(factor * np.array(spring.insertion_b)),
+            ),
+        ),
+        drives=tuple(replace(each, value=factor * each.value) for each in small.drives),
+        contacts=(replace(contact, search_radius=factor * contact.search_radius),),
+    )  # fmt: skip
+    step, errors = None, []
+    for model, size in ((small, 1.0), (large, factor)):
+        system = System(model, threads=1)
+        step = 2e-2 * rng.standard_normal(system.n_unknowns) if step is None else step
+        state = system.moved(system.prescribed(system.rest(), 0.1), size * step)
+        errors.append(system.forces(state).error)
+    assert errors[1] == pytest.approx(errors[0], rel=1e-9)
+
+
 def test_probe_force_balances_the_base() -> None:
     model = punch("tet4")
     last = Analysis(model, QUICK).run()[-1]

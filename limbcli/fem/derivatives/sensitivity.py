@@ -79,7 +79,7 @@ def reaction_changes(system: System, state: State, parameter: Parameter, sensiti
 
 def _one(newton: Newton, state: State, forces: Forces, nodal: Array, bodies: Array) -> Sensitivity:
     system = newton.system
-    rhs = -np.concatenate([nodal[system.free], [bodies[k] for k in system.rigid]])
+    rhs = -np.concatenate([nodal[system.free], system.of_rigid(bodies)])
     step = _solve(newton, state, forces, rhs)
     motions = system.motions(step)
     v = system.follow(state, motions)

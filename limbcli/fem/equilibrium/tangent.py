@@ -68,7 +68,7 @@ class Tangent:
             if unsymmetric:
                 bodies = np.zeros((len(system.bodies), 6))
                 system.gather_tied(self.state, elastic, bodies)
-                out[n + k] += bodies[system.rigid[k]]
+                out[n + k] += bodies[system.rigid[k]] / system.arms[k]
             else:
                 out[n + k] += column[system.free] @ x
         out[n:] += self.corner @ step[n:]
@@ -131,7 +131,7 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
     follows = []
     for k, (b, dof) in enumerate(system.rigid):
         motion = np.zeros((len(system.bodies), 6))
-        motion[b, dof] = 1.0
+        motion[b, dof] = 1.0 / system.arms[k]
         v = system.follow(state, motion)
         follows.append(v)
         if v.any():
@@ -139,9 +139,10 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
     springs = system.spring_stiffness(state)
     for i, (b, dof) in enumerate(system.rigid):
         for j, (c, other) in enumerate(system.rigid):
-            corner[i, j] = springs[6 * b + dof, 6 * c + other] + (follows[i] * columns[j]).sum()
+            corner[i, j] = springs[6 * b + dof, 6 * c + other]
             if b == c and dof >= 3 and other >= 3 and len(system.bodies[b].tied):
                 corner[i, j] += system.tied_turning(state, nodal, b)[dof - 3, other - 3]
+            corner[i, j] = corner[i, j] / (system.arms[i] * system.arms[j]) + (follows[i] * columns[j]).sum()
     return columns, corner
 
 

@@ -63,6 +63,9 @@ class Kinematics:
         self.free = free
         self._places = np.flatnonzero(free)
         self.rigid: list[tuple[int, int]] = [(b, k) for b, body in enumerate(self.bodies) for k in body.free]
+        # the unknown of a turn is the way at this distance (mm), its residual the force there: moments (N mm)
+        # beside forces would rule the residual's norm
+        self.arms = np.array([1.0 if k < 3 else self._arm(b) for b, k in self.rigid])
 
     def _find_prescribed(self, free: Array) -> list[tuple[IntArray, int, Array, str | None, bool]]:
         """(nodes, axis, values, curve, relative) of every support; clears the constrained entries of `free`.
@@ -213,12 +216,23 @@ class Kinematics:
             bodies[b] = bodies[b].moved(motions[b])
         return self.followed(State(state.time, u, tuple(bodies), state.hints))
 
+    def _arm(self, b: int) -> float:
+        """Root mean square distance (mm) of a body's nodes from its centre."""
+        body = self.bodies[b]
+        nodes = body.points if len(body.points) else body.tied
+        size = float(np.sqrt(((self.X[nodes] - body.center) ** 2).sum(axis=1).mean())) if len(nodes) else 0.0
+        return size or 1.0
+
     def motions(self, step: Array) -> Array:
         """The rigid-body part (n_bodies, 6) of a change of the unknowns."""
         out = np.zeros((len(self.bodies), 6))
         for k, (b, dof) in enumerate(self.rigid):
-            out[b, dof] = step[self.n_tissue + k]
+            out[b, dof] = step[self.n_tissue + k] / self.arms[k]
         return out
+
+    def of_rigid(self, bodies: Array) -> Array:
+        """The entries of the rigid unknowns in a residual, of forces and moments (n_bodies, 6)."""
+        return np.array([bodies[k] for k in self.rigid]) / self.arms
 
     def center(self, b: int, state: State) -> Array:
         return self.bodies[b].center + state.bodies[b].shift
