@@ -13,7 +13,7 @@ from limbcli.diagnosis.prepare import Prepared
 from limbcli.effects.curves import Curves, force_at
 from limbcli.effects.effect import applied
 from limbcli.effects.reading import true_depth
-from limbcli.feb.settings import USUAL_PENALTY, least_level, schedule
+from limbcli.feb.settings import LEAST_START, USUAL_PENALTY, schedule
 from limbcli.feb.write import write_feb
 from limbcli.model import Array
 from limbcli.model.npz_file import load_model
@@ -46,7 +46,7 @@ def write_diagnosed(
     depth = true_depth(curves, mine.curves.site.protocol.depth, reading)
     # the probe travels further than the tissue is indented, by the support's compliance
     travel = np.unique(np.round(depth + reading.compliance * force_at(curves, depth), 3))
-    depths = [float(each) for each in travel if each > 2 * least_level()]
+    depths = [float(each) for each in travel if each > 2 * LEAST_START]
     meshed = load_model(path)
     plan = schedule(depths, start=starting_depth(meshed, depths[0]))
     c = mpa_from_kpa(fitted.values["c_kpa"])

@@ -1,15 +1,18 @@
-"""Numbers as text, and the ids of a model's parts in a file (from 1, without gaps)."""
+"""Numbers and formulas as text, and the ids of a model's parts in a file (from 1, without gaps)."""
 
 from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
 from limbcli.errors import CaseError
 from limbcli.model import Curve, ElementMap, LimbModel, Material, NodeMap, Step, Value
+from limbcli.numbers.math_expressions import Formula
+
+Amount = float | Formula  # of a load
 
 _TIME_DIGITS = 12
 _Map = TypeVar("_Map", ElementMap, NodeMap)
@@ -39,6 +42,20 @@ def vector(values: Iterable[float]) -> str:
     '0,0.5,-1'
     """
     return ",".join(number(each) for each in values)
+
+
+def has_formulas(values: Sequence[Amount]) -> bool:
+    return any(isinstance(each, Formula) for each in values)
+
+
+def amounts(values: Sequence[Amount]) -> str:
+    """Numbers, or formulas if one of them is one, separated by commas."""
+    return ",".join(each.text if isinstance(each, Formula) else number(each) for each in values)
+
+
+def against(values: Sequence[Amount]) -> list[Amount]:
+    """The opposite of each, without negative zeros."""
+    return [-each if isinstance(each, Formula) else 0.0 - each for each in values]
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from __future__ import annotations
 import hashlib
 import itertools
 import re
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import NoReturn
@@ -101,16 +101,9 @@ def _compare(echo: Echo, outline: Outline, log: Path) -> None:
         other = echo.materials.get(number)
         if other is None:
             _refuse(log, f"the log does not report material {number} of the model file")
-        if found := _first_difference(parameters, other):
-            name, ours = found
-            _refuse(log, f"the log reports a different material: {name} is {other[name]:g}, not {ours:g}")
-
-
-def _first_difference(ours: Mapping[str, float], other: Mapping[str, float]) -> tuple[str, float] | None:
-    for name, value in ours.items():
-        if name in other and abs(other[name] - value) > _DIGITS * max(abs(value), 1e-12):
-            return name, value
-    return None
+        for name, ours in parameters.items():
+            if name in other and abs(other[name] - ours) > _DIGITS * max(abs(ours), 1e-12):
+                _refuse(log, f"the log reports a different material: {name} is {other[name]:g}, not {ours:g}")
 
 
 def _refuse(log: Path, what: str) -> NoReturn:

@@ -90,25 +90,24 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
     with root.goes_on():
         _check_module(root.child("Module"))
     with root.goes_on():
-        _check_globals(root.child("Globals"))
-    curves, curve_names = read_loads.read_curves(root.child("LoadData"))
+        root.section("Globals").allow(children=("Constants",))
+    curves, curve_names = read_loads.read_curves(root.section("LoadData"))
     mesh = read_mesh(root.need("Mesh"))
-    data = root.child("MeshData")
-    element_maps, node_maps, thicknesses = read_mesh_data(data, mesh)
+    element_maps, node_maps, thicknesses = read_mesh_data(root.section("MeshData"), mesh)
     materials = read_materials(root.need("Material"), curve_names, element_maps)
     domains, bodies = _domains(root.need("MeshDomains"), mesh, materials)
     _refuse_joined(root.need("MeshDomains"), bodies, mesh)
     thicknesses = {**_thicknesses(root.need("MeshDomains"), mesh), **thicknesses}
     bodies = with_centres(bodies, materials.without_centre, mesh.mesh, thicknesses)
     scene = read_loads.Scene(mesh, node_maps, bodies, curve_names, materials.by_id)
-    supports, ties = read_loads.read_boundary(root.child("Boundary"), scene)
-    drives, springs = read_loads.read_rigid(root.child("Rigid"), scene)
-    loads = read_distributed_loads(root.child("Loads"), scene, root.child("Material"))
-    contacts = read_contacts(root.child("Contact"), scene)
+    supports, ties = read_loads.read_boundary(root.section("Boundary"), scene)
+    drives, springs = read_loads.read_rigid(root.section("Rigid"), scene)
+    loads = read_distributed_loads(root.section("Loads"), scene, root.need("Material"))
+    contacts = read_contacts(root.section("Contact"), scene)
     steps, must_curves = read_steps(root, scene, curves)
     for name in {*element_maps, *node_maps} - (materials.used_maps | scene.used_maps | {FIBRES}):
         root.ignore(f"map {name!r}, which nothing uses")
-    records, plot_variables = read_output(root.child("Output"), mesh, bodies, materials.by_id)
+    records, plot_variables = read_output(root.section("Output"), mesh, bodies, materials.by_id)
     info = read_info(root)
     if plot_variables:
         info["plot_variables"] = list(plot_variables)
@@ -118,19 +117,14 @@ def _read(root: Tag) -> tuple[LimbModel, frozenset[str]]:
     found = replace(
         mesh.mesh, node_sets={**mesh.mesh.node_sets, **nodes}, surfaces={**mesh.mesh.surfaces, **surfaces}
     )
+    fibres = element_maps.get(FIBRES)  # whether or not a law uses them
     model = LimbModel(
         mesh=found, materials=materials.materials, domains=domains,
         bodies=tuple(read_loads.tie(bodies, ties).values()), supports=supports, drives=drives,
         springs=springs, contacts=contacts, curves=curves, steps=steps, records=records, info=info,
-        fibres=_fibres(element_maps), loads=loads,
+        fibres=fibres if fibres is not None and fibres.values.ndim == 2 else None, loads=loads,
     )  # fmt: skip
     return model, must_curves
-
-
-def _fibres(maps: Mapping[str, ElementMap]) -> ElementMap | None:
-    """The map of fibre directions if there is one, whether or not a law uses it."""
-    found = maps.get(FIBRES)
-    return found if found is not None and found.values.ndim == 2 else None
 
 
 def _check_module(tag: Tag | None) -> None:
@@ -139,12 +133,6 @@ def _check_module(tag: Tag | None) -> None:
     tag.allow(attributes=("type",), children=("units",))
     if tag.attribute("type") not in ("solid", "biphasic"):
         raise tag.problem(f"the module {tag.attribute('type')!r} is not supported", fix='use type="solid"')
-
-
-def _check_globals(tag: Tag | None) -> None:
-    if tag is None:
-        return
-    tag.allow(children=("Constants",))
 
 
 def _domains(

@@ -21,9 +21,7 @@ CONTACT_MORE = (
 )  # fmt: skip
 
 
-def read_contacts(tag: Tag | None, scene: Scene) -> tuple[Contact, ...]:
-    if tag is None:
-        return ()
+def read_contacts(tag: Tag, scene: Scene) -> tuple[Contact, ...]:
     tag.allow(many=("contact",))
     refuse_repeated(tag)
     found = []
@@ -45,6 +43,7 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
     if pair not in scene.mesh.pairs:
         raise tag.missing(f"surface pair {pair!r}", ADD_TO_MESH)
     primary, secondary = scene.mesh.pairs[pair]
+    laugon = tag.child("laugon")
     numbers, curves = dict(CONTACT_DEFAULTS), dict[str, str | None]()
     for name in CONTACT_DEFAULTS:
         child = tag.child(name)
@@ -60,7 +59,7 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
         penalty=numbers["penalty"],
         auto_penalty=flag(tag, "auto_penalty"),
         update_penalty=flag(tag, "update_penalty"),
-        augmented=_is_augmented(tag.child("laugon")),
+        augmented=laugon is not None and laugon.choice(("PENALTY", "AUGLAG", "0", "1")) in ("AUGLAG", "1"),
         tolerance=numbers["tolerance"],
         gap_tolerance=numbers["gaptol"],
         search_radius=numbers["search_radius"],
@@ -73,9 +72,3 @@ def _contact(tag: Tag, scene: Scene) -> Contact:
         penalty_curve=curves.get("penalty"),
         gap_tolerance_curve=curves.get("gaptol"),
     )
-
-
-def _is_augmented(tag: Tag | None) -> bool:
-    if tag is None:
-        return False
-    return tag.choice(("PENALTY", "AUGLAG", "0", "1")) in ("AUGLAG", "1")

@@ -48,7 +48,7 @@ class _Context:
     curves: Mapping[str, Curve]
     start: float
     must_curves: set[str]
-    materials: Tag | None
+    materials: Tag
 
 
 def read_steps(
@@ -59,7 +59,7 @@ def read_steps(
     Global times of must-points are converted to times from the start of their step.
     """
     control, several = root.child("Control"), root.child("Step")
-    context = _Context(scene, curves, 0.0, set(), root.child("Material"))
+    context = _Context(scene, curves, 0.0, set(), root.need("Material"))
     if several is None or several.is_empty:
         if control is None:
             raise root.problem("there is neither <Control> nor <Step>", fix="add <Control>")
@@ -130,9 +130,9 @@ def _positive(tag: Tag) -> Tag:
 def _loads(owner: Tag, context: _Context) -> dict[str, Any]:
     """Supports, drives and loads that are active during one step only."""
     scene = context.scene
-    loads = read_distributed_loads(owner.child("Loads"), scene, context.materials)
-    supports, ties = read_boundary(owner.child("Boundary"), scene)
-    drives, springs = read_rigid(owner.child("Rigid"), scene)
+    loads = read_distributed_loads(owner.section("Loads"), scene, context.materials)
+    supports, ties = read_boundary(owner.section("Boundary"), scene)
+    drives, springs = read_rigid(owner.section("Rigid"), scene)
     if ties or springs:
         raise owner.problem(
             "ties to rigid bodies and springs inside a step are not supported",

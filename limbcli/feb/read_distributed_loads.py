@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from limbcli.feb.amounts import Amount, against
+from limbcli.feb.ids import Amount, against
 from limbcli.feb.read_loads import Scene, flag
 from limbcli.feb.read_mesh import ADD_TO_MESH
 from limbcli.feb.xml import Tag
@@ -24,13 +24,11 @@ _KNOWN = (
 )
 
 
-def read_distributed_loads(tag: Tag | None, scene: Scene, materials: Tag | None) -> tuple[Load, ...]:
+def read_distributed_loads(tag: Tag, scene: Scene, materials: Tag) -> tuple[Load, ...]:
     """The loads of a section.
 
     materials : the <Material> section, in which a body force needs densities
     """
-    if tag is None:
-        return ()
     tag.allow(many=("surface_load", "nodal_load", "body_load"))
     loads: list[Load] = []
     for each in tag:
@@ -43,7 +41,7 @@ def read_distributed_loads(tag: Tag | None, scene: Scene, materials: Tag | None)
                 )
             found = [load for load in read(each, scene) if any(load.value)]
             if found and each.name == "body_load":
-                for material in materials or ():
+                for material in materials:
                     if material.child("density") is None and material.optional("type") != "rigid body":
                         raise each.problem(
                             f"the material in line {material.line} has no <density>, for which FEBio takes 1",

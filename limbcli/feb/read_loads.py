@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal, cast
 
 from limbcli.errors import SolveError
-from limbcli.feb.amounts import Amount
+from limbcli.feb.ids import Amount
 from limbcli.feb.read_mesh import MeshSection
 from limbcli.feb.xml import Tag
 from limbcli.model import Curve, NodeMap, Support
@@ -67,12 +67,10 @@ class Scene:
 # ---------------------------------------------------------------- LoadData
 
 
-def read_curves(tag: Tag | None) -> tuple[dict[str, Curve], dict[str, str]]:
+def read_curves(tag: Tag) -> tuple[dict[str, Curve], dict[str, str]]:
     """(curves by name, names by id)."""
     curves: dict[str, Curve] = {}
     by_id: dict[str, str] = {}
-    if tag is None:
-        return curves, by_id
     tag.allow(many=("load_controller",))
     for number, each in enumerate(tag, start=1):
         with each.goes_on():
@@ -136,12 +134,10 @@ def _curve(tag: Tag) -> Curve:
 # ---------------------------------------------------------------- Boundary
 
 
-def read_boundary(tag: Tag | None, scene: Scene) -> tuple[tuple[Support, ...], list[tuple[str, str]]]:
+def read_boundary(tag: Tag, scene: Scene) -> tuple[tuple[Support, ...], list[tuple[str, str]]]:
     """(supports, (body, node set) for each node set that is tied to a rigid body)."""
     supports: list[Support] = []
     ties: list[tuple[str, str]] = []
-    if tag is None:
-        return (), ties
     tag.allow(many=("bc",))
     for each in tag:
         with each.goes_on():
@@ -162,7 +158,7 @@ def _boundary_condition(tag: Tag, scene: Scene, supports: list[Support], ties: l
     tag.allow(attributes=("name", "type", "node_set"), children=_CONDITIONS[kind])
     node_set = scene.mesh.node_set(tag, tag.attribute("node_set"))
     if kind == "zero displacement":
-        supports.append(Support(node_set, _switched_on(tag, "{}_dof", _DISPLACEMENTS)))
+        supports.append(Support(node_set, _switched_on(tag, _DISPLACEMENTS)))
     elif kind == "prescribed displacement":
         supports.append(_prescribed(tag, node_set, scene))
     elif kind == "zero fluid pressure":
@@ -171,15 +167,11 @@ def _boundary_condition(tag: Tag, scene: Scene, supports: list[Support], ties: l
         ties.append((scene.body(tag.need("rb")), node_set))
 
 
-def _switched_on(tag: Tag, pattern: str, names: tuple[str, ...]) -> tuple[str, ...]:
-    chosen = []
-    for name in names:
-        child = tag.child(pattern.format(name))
-        if child is not None and child.flag():
-            chosen.append(name)
+def _switched_on(tag: Tag, names: tuple[str, ...]) -> tuple[str, ...]:
+    chosen = tuple(name for name in names if flag(tag, f"{name}_dof"))
     if not chosen:
         raise tag.problem("no degree of freedom is chosen", fix=f"switch on one of {list(names)}")
-    return tuple(chosen)
+    return chosen
 
 
 def _prescribed(tag: Tag, node_set: str, scene: Scene) -> Support:
@@ -231,11 +223,9 @@ def flag(tag: Tag, name: str, *, default: bool = False) -> bool:
 # ---------------------------------------------------------------- Rigid
 
 
-def read_rigid(tag: Tag | None, scene: Scene) -> tuple[tuple[Drive, ...], tuple[Spring, ...]]:
+def read_rigid(tag: Tag, scene: Scene) -> tuple[tuple[Drive, ...], tuple[Spring, ...]]:
     drives: list[Drive] = []
     springs: list[Spring] = []
-    if tag is None:
-        return (), ()
     tag.allow(many=("rigid_bc", "rigid_load", "rigid_connector"))
     for each in tag:
         with each.goes_on():
@@ -260,7 +250,7 @@ def read_rigid(tag: Tag | None, scene: Scene) -> tuple[tuple[Drive, ...], tuple[
 def _fixed(tag: Tag, scene: Scene) -> list[Drive]:
     tag.allow(attributes=("name", "type"), children=("rb", *(f"{name}_dof" for name in _RIGID_DOFS)))
     body = scene.body(tag.need("rb"))
-    names = _switched_on(tag, "{}_dof", tuple(_RIGID_DOFS))
+    names = _switched_on(tag, tuple(_RIGID_DOFS))
     return [Drive(body, _RIGID_DOFS[name], "fixed") for name in names]  # type: ignore[arg-type]
 
 
@@ -273,14 +263,10 @@ def _driven(tag: Tag, scene: Scene, kind: str) -> Drive:
             raise load_type.problem(f"{load_type.text!r} is not supported", fix="use LOAD")
     tag.allow(attributes=("name", "type"), children=children)
     value, curve = scene.number(tag.need("value"))
-    dofs = {"displacement": {"x": "x", "y": "y", "z": "z"}}.get(
-        kind,
-        {
-            name: dof
-            for name, dof in _RIGID_DOFS.items()
-            if (dof in "uvw") == (kind in ("rotation", "moment"))
-        },
-    )
+    turns = kind in ("rotation", "moment")
+    dofs = {name: dof for name, dof in _RIGID_DOFS.items() if (dof in "uvw") == turns}
+    if kind == "displacement":
+        dofs = {dof: dof for dof in _DISPLACEMENTS}
     return Drive(
         body=scene.body(tag.need("rb")),
         dof=_dof(tag.need("dof"), dofs, by_number=kind in ("force", "moment")),  # type: ignore[arg-type]

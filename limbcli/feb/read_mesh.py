@@ -325,14 +325,12 @@ def _pairs(tag: Tag, surfaces: Mapping[str, Surface]) -> dict[str, tuple[str, st
 
 
 def read_mesh_data(
-    tag: Tag | None, section: MeshSection
+    tag: Tag, section: MeshSection
 ) -> tuple[dict[str, ElementMap], dict[str, NodeMap], dict[str, Array]]:
     """The maps of elements and of nodes by name, and mean shell thicknesses by block; `lid` counts from 1."""
     elements: dict[str, ElementMap] = {}
     nodes: dict[str, NodeMap] = {}
     thicknesses: dict[str, Array] = {}
-    if tag is None:
-        return elements, nodes, thicknesses
     tag.allow(many=("ElementData", "NodeData", "SurfaceData"))
     refuse_repeated(tag)
     for each in tag:

@@ -20,33 +20,27 @@ _DELIMITERS = (None, ",", " ", "\t")
 
 
 def read_output(
-    tag: Tag | None, mesh: MeshSection, bodies: Mapping[str, RigidBody], materials_by_id: Mapping[str, str]
+    tag: Tag, mesh: MeshSection, bodies: Mapping[str, RigidBody], materials_by_id: Mapping[str, str]
 ) -> tuple[tuple[LogRecord, ...], tuple[str, ...]]:
     """(records of the log file, variables of the plot file)."""
-    if tag is None:
-        return (), ()
     tag.allow(children=("logfile", "plotfile"))
-    variables: tuple[str, ...] = ()
-    plotfile = tag.child("plotfile")
-    if plotfile is not None:
-        plotfile.allow(attributes=("type", "file"), children=("compression",), many=("var",))
-        variables = tuple(each.attribute("type") for each in plotfile.all("var"))
-        if plotfile.optional("file") or plotfile.child("compression") is not None:
-            tag.ignore("the form of <plotfile>, which a run does not keep")
-    logfile = tag.child("logfile")
+    plotfile, logfile = tag.section("plotfile"), tag.section("logfile")
+    plotfile.allow(attributes=("type", "file"), children=("compression",), many=("var",))
+    variables = tuple(each.attribute("type") for each in plotfile.all("var"))
+    if plotfile.optional("file") or plotfile.child("compression") is not None:
+        tag.ignore("the form of <plotfile>, which a run does not keep")
     records: list[LogRecord] = []
-    if logfile is not None:
-        logfile.allow(attributes=("file",), many=(*_RECORDS, *_OTHER_RECORDS))
-        if logfile.attributes:
-            tag.ignore("the name of <logfile>, as that of a run is model.log")
-        for each in logfile:
-            with each.goes_on():
-                if not is_read(each):
-                    tag.ignore(f"<{each.name}> {each.optional('data')!r}, which limbcli does not read")
-                    continue
-                each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
-                check_form(each)
-                records.append(_record(each, mesh, bodies, materials_by_id))
+    logfile.allow(attributes=("file",), many=(*_RECORDS, *_OTHER_RECORDS))
+    if logfile.attributes:
+        tag.ignore("the name of <logfile>, as that of a run is model.log")
+    for each in logfile:
+        with each.goes_on():
+            if not is_read(each):
+                tag.ignore(f"<{each.name}> {each.optional('data')!r}, which limbcli does not read")
+                continue
+            each.allow(attributes=("data", "delim", "file", "name", *_SET_OF.get(each.name, ())))
+            check_form(each)
+            records.append(_record(each, mesh, bodies, materials_by_id))
     return tuple(records), variables
 
 
@@ -69,7 +63,9 @@ def _record(
         return LogRecord("rigid_body", fields, file, logged_body(tag, by_id))
     if tag.name == "node_data":
         return LogRecord("node", fields, file, _nodes(tag, mesh))
-    return LogRecord("element", fields, file, _elements(tag, mesh))
+    name = tag.optional("elem_set")  # of a named set or a whole part
+    cells = listed_cells(tag, mesh.numbering.cells) if name is None else mesh.element_set(tag, name)
+    return LogRecord("element", fields, file, cells)
 
 
 def _nodes(tag: Tag, mesh: MeshSection) -> IntArray | None:
@@ -78,12 +74,6 @@ def _nodes(tag: Tag, mesh: MeshSection) -> IntArray | None:
     if name is not None:
         return mesh.mesh.node_sets[mesh.node_set(tag, name)]
     return listed_nodes(tag, mesh.numbering.nodes)
-
-
-def _elements(tag: Tag, mesh: MeshSection) -> IntArray | None:
-    """Cells of the named set or whole part if there is one, else those listed; None: all."""
-    name = tag.optional("elem_set")
-    return listed_cells(tag, mesh.numbering.cells) if name is None else mesh.element_set(tag, name)
 
 
 def listed_nodes(tag: Tag, table: IntArray) -> IntArray | None:

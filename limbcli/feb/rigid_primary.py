@@ -24,15 +24,12 @@ def contacts_without_force(root: Tag) -> tuple[str, ...]:
     return tuple(
         f"contact {each.optional('name') or each.optional('surface_pair')!r}: its primary surface "
         f"{primary!r} is on rigid shells without volume, for which FEBio's auto_penalty gives no force at all"
-        for each in _auto_contacts(root)
-        if (primary := _primary(root, each.optional("surface_pair") or ""))
+        for each in (Tag(contact, root.file) for contact in root.element.iter("contact"))
+        if _is_on(each, "auto_penalty")
+        and not _is_on(each, "two_pass")
+        and (primary := _primary(root, each.optional("surface_pair") or ""))
         and _nodes_of_surface(root, primary) <= bodies
     )
-
-
-def _auto_contacts(root: Tag) -> list[Tag]:
-    found = [Tag(each, root.file) for each in root.element.iter("contact")]
-    return [each for each in found if _is_on(each, "auto_penalty") and not _is_on(each, "two_pass")]
 
 
 def _is_on(tag: Tag, name: str) -> bool:

@@ -24,8 +24,9 @@ FIRST_STEP_S = 0.02
 LARGEST_STEP_S = 0.1
 SMALLEST_STEP_S = 0.001
 START_DEPTHS = (0.05, 0.1, 0.15, 0.2)
-LEAST_START = 0.02
+LEAST_START = 0.02  # no level above this depth (mm) is simulated: the probe already starts there
 _START_SHARE = 0.5
+_LEAST_APART = 0.02
 _TIME_DIGITS = 3
 
 # Tolerances: with them the force of each level is within 0.1 % of a solve to 1e-8 (cost of each:
@@ -66,7 +67,7 @@ def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule
     leaves a step too small to converge. Therefore the last time is a multiple of the first step that is exact
     in binary arithmetic.
 
-    depths : mm, increasing, all above `least_level()`
+    depths : mm, increasing, all above `LEAST_START`
     start : depth of the probe at time 0 (mm); None: 0.05, less if the first level is shallow
 
     Raises CaseError if the depths do not increase, or the first is too small.
@@ -77,9 +78,9 @@ def schedule(depths: Sequence[float], *, start: float | None = None) -> Schedule
     (0.006, 0.02)
     """
     growing = all(later > earlier for earlier, later in itertools.pairwise(depths))
-    if not depths or depths[0] <= least_level() or not growing:
+    if not depths or depths[0] <= LEAST_START or not growing:
         raise CaseError(
-            f"the depths {list(depths)} mm do not increase from {least_level():g} mm on",
+            f"the depths {list(depths)} mm do not increase from {LEAST_START:g} mm on",
             where="load schedule",
             fix="give increasing depths, each once",
         )
@@ -107,8 +108,8 @@ def whole_steps(time: float) -> int:
     return n_steps
 
 
-def apart(depths: Sequence[float], *, least: float = 0.02) -> list[float]:
-    """Depths at least `least` mm apart, always including the deepest.
+def apart(depths: Sequence[float]) -> list[float]:
+    """Depths at least 0.02 mm apart, always including the deepest.
 
     A step of a few micrometres has hardly any load as a reference for its convergence.
 
@@ -117,16 +118,11 @@ def apart(depths: Sequence[float], *, least: float = 0.02) -> list[float]:
     """
     kept: list[float] = []
     for depth in depths:
-        if not kept or depth - kept[-1] >= least:
+        if not kept or depth - kept[-1] >= _LEAST_APART:
             kept.append(float(depth))
     if kept and kept[-1] != depths[-1]:
         kept[-1] = float(depths[-1])
     return kept
-
-
-def least_level() -> float:
-    """Depth (mm) below which no level is simulated, because the probe already starts there."""
-    return LEAST_START
 
 
 def robust_step(plan: Schedule, element: str) -> Step:

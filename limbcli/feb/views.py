@@ -202,7 +202,8 @@ def _step(step: Step, must_curve: str | None, ids: Ids) -> dict[str, Any]:
         )
 
     def chosen(names: Iterable[str]) -> list[tuple[str, str]]:
-        return [(name, _setting(step.control[name])) for name in names if name in step.control]
+        settings = [(name, step.control[name]) for name in names if name in step.control]
+        return [(name, each if isinstance(each, str) else number(each)) for name, each in settings]
 
     return {
         "analysis": step.analysis,
@@ -227,10 +228,6 @@ def _step(step: Step, must_curve: str | None, ids: Ids) -> dict[str, Any]:
     }
 
 
-def _setting(value: object) -> str:
-    return value if isinstance(value, str) else number(value)  # type: ignore[arg-type]
-
-
 def drive_groups(drives: Sequence[Drive]) -> list[list[Drive]]:
     """Groups of drives that share a tag: fixed degrees of freedom of one body, in FEBio's order; others
     separately."""
@@ -250,11 +247,7 @@ def drive_groups(drives: Sequence[Drive]) -> list[list[Drive]]:
     return groups
 
 
-def record_views(model: LimbModel, ids: Ids) -> list[dict[str, str]]:
-    return [_record(record, ids) for record in model.records]
-
-
-def _record(record: LogRecord, ids: Ids) -> dict[str, str]:
+def record_view(record: LogRecord, ids: Ids) -> dict[str, str]:
     if isinstance(record.items, str):
         items = str(ids.materials[record.items])
     else:

@@ -13,8 +13,7 @@ from markupsafe import Markup
 
 from limbcli.config import templates_folder
 from limbcli.errors import CaseError
-from limbcli.feb.amounts import against, amounts, has_formulas
-from limbcli.feb.ids import element_maps, give_ids, node_maps, number, vector
+from limbcli.feb.ids import against, amounts, element_maps, give_ids, has_formulas, node_maps, number, vector
 from limbcli.feb.info import INFO_MARK
 from limbcli.feb.read import EMPTY_NODE_SETS, EMPTY_SURFACES, IGNORED
 from limbcli.feb.views import (
@@ -23,7 +22,7 @@ from limbcli.feb.views import (
     map_rows,
     material_views,
     node_rows,
-    record_views,
+    record_view,
     set_ids,
     step_views,
     surface_rows,
@@ -118,7 +117,7 @@ def _context(model: LimbModel) -> dict[str, Any]:
         "drives": drive_groups(model.drives),
         "curves": ids.all_curves,
         "curve_ids": ids.curves,
-        "records": record_views(model, ids),
+        "records": [record_view(each, ids) for each in model.records],
         "plot_variables": list(model.info.get("plot_variables", ())),
         **_mesh_context(model),
     }

@@ -126,6 +126,10 @@ class Tag:
         found = self.element.find(name)
         return None if found is None else self.of(found)
 
+    def section(self, name: str) -> Tag:
+        """The child, or an empty tag if there is none."""
+        return self.child(name) or self.of(etree.Element(name))
+
     def of(self, element: etree._Element) -> Tag:
         """Another element of the same file."""
         return Tag(element, self.file, self.notes)

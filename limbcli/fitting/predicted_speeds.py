@@ -16,7 +16,7 @@ from limbcli.case import Site
 from limbcli.drawing import save_figure
 from limbcli.errors import LimbError
 from limbcli.errors.problems import errors_of
-from limbcli.feb.settings import least_level
+from limbcli.feb.settings import LEAST_START
 from limbcli.fitting.exports import write_table
 from limbcli.fitting.stiffness_map import probe_length
 from limbcli.measurement.elastography import SweMap, check_map, check_mean, check_width, map_file, write_map
@@ -98,7 +98,7 @@ def simulated_rows(levels: Levels, depths: Array) -> tuple[IntArray, IntArray]:
     numbers, rows = [], []
     for k in np.flatnonzero(levels.loading):
         nearest = int(np.abs(depths - levels.depth[k]).argmin())
-        if levels.depth[k] <= least_level():
+        if levels.depth[k] <= LEAST_START:
             nearest = AT_REST
         elif abs(depths[nearest] - levels.depth[k]) > _SAME_DEPTH:
             continue
@@ -143,7 +143,7 @@ def _write_speed_table(found: Predicted, levels: Levels, writer: StageWriter) ->
 def _report(found: Predicted, levels: Levels, writer: StageWriter) -> None:
     measured, mean = levels.swe_mean_m_per_s[found.levels], found.mean_m_per_s
     both = np.isfinite(measured)
-    loaded = both & np.isfinite(found.mean_m_per_s) & (levels.depth[found.levels] > least_level())
+    loaded = both & np.isfinite(found.mean_m_per_s) & (levels.depth[found.levels] > LEAST_START)
     gap = mean - measured
     facts: dict[str, object] = {
         "n_levels": len(found.levels),

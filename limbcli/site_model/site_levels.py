@@ -7,7 +7,7 @@ import numpy as np
 from limbcli.case import Site
 from limbcli.case.noting import unnoted
 from limbcli.errors import MeasurementError
-from limbcli.feb.settings import apart, least_level
+from limbcli.feb.settings import LEAST_START, apart
 from limbcli.measurement.elastography import SweMap, read_maps
 from limbcli.measurement.indentation import LayerNoise, Levels, read_levels
 from limbcli.measurement.levels import LAST
@@ -67,10 +67,10 @@ def simulated_depths(levels: Levels) -> Array:
     Raises MeasurementError if no loading level is deeper than the initial depth of the simulation.
     """
     depths = np.unique(levels.depth[levels.loading])
-    depths = depths[depths > least_level()]
+    depths = depths[depths > LEAST_START]
     if len(depths) == 0:
         raise MeasurementError(
-            f"no loading level is deeper than {least_level():g} mm",
+            f"no loading level is deeper than {LEAST_START:g} mm",
             where=str(levels.path),
             fix="check the column depth_mm: it increases from 0 with the load, in mm",
         )

@@ -19,7 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
-from limbcli.feb.settings import least_level, schedule
+from limbcli.feb.settings import LEAST_START, schedule
 from limbcli.fitting.force_curves import ReferenceCurve
 from limbcli.fitting.numerical_error import gain_deviation
 from limbcli.inference.prediction import SolvedPoints
@@ -56,7 +56,7 @@ def one_seed(seed, model, truth, forces, depths, gain):
     depth = depths + np.where(first, 0.0, DEPTH_SD * rng.standard_normal(len(forces)))
     c = truth["c"] * (1 + SPEED_SD * rng.standard_normal()) ** 2
     data = ForceDepth(force, depth, FORCE_SD, DEPTH_SD)
-    simulated = np.unique(depth[depth > least_level()])
+    simulated = np.unique(depth[depth > LEAST_START])
     start = indentation_model(model, schedule(list(simulated)), c=c, f_kappa=100.0, m=2.0)
     clock, work = time.perf_counter(), time.process_time()
     curve = ReferenceCurve(start, c=c)
