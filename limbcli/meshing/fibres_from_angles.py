@@ -8,7 +8,7 @@ One image does not show how far they leave its plane; two determine the directio
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -68,8 +68,9 @@ def direction_of_angles(
                 fix='add one with orientation = "axial", or give fibre_direction',
             )
         how = "in one image plane; the angle of the fibres out of it is not given, and taken as 0"
-        return FibreDirection(_in_plane(only, beam), only.deviation_deg, how)
-    steps = [ImageAngle(a.lateral, a.angle_deg + _STEP_DEG, a.deviation_deg) for a in angles]
+        a = np.radians(only.angle_deg)
+        return FibreDirection(np.cos(a) * only.lateral + np.sin(a) * beam, only.deviation_deg, how)
+    steps = [replace(each, angle_deg=each.angle_deg + _STEP_DEG) for each in angles]
     axis = _crossing(angles, beam, where)
     moved = [_crossing([steps[0], angles[1]], beam, where), _crossing([angles[0], steps[1]], beam, where)]
     turned = [min(1.0, float(np.linalg.norm(np.cross(axis, each)))) for each in moved]
@@ -78,16 +79,9 @@ def direction_of_angles(
     return FibreDirection(axis, deviation, "in two image planes")
 
 
-def _in_plane(angle: ImageAngle, beam: Array) -> Array:
-    a = np.radians(angle.angle_deg)
-    return np.asarray(np.cos(a) * angle.lateral + np.sin(a) * beam)
-
-
 def _crossing(angles: Sequence[ImageAngle], beam: Array, where: str) -> Array:
-    q = []
-    for each in angles:
-        a = np.radians(each.angle_deg)
-        q.append(-np.sin(a) * each.lateral + np.cos(a) * beam)
+    turns = np.radians([each.angle_deg for each in angles])
+    q = [-np.sin(a) * each.lateral + np.cos(a) * beam for a, each in zip(turns, angles, strict=True)]
     crossed = np.cross(q[0], q[1])
     size = float(np.linalg.norm(crossed))
     if size < np.sin(np.radians(_LEAST_ANGLE_DEG)):

@@ -245,11 +245,16 @@ def skin_point_at(limb: Limb, angle_deg: float, height: float, *, where: str = "
 
 
 def around(axis: Array, angle: float) -> Array:
-    """Unit vector (3,) across a limb at an angle (rad): 0 anterior (-y of LPS), pi/2 the patient's left."""
+    """Unit vector (3,) across a limb at an angle (rad): 0 anterior, pi/2 the patient's left."""
+    anterior = anterior_of(axis)
+    return np.asarray(np.cos(angle) * anterior + np.sin(angle) * np.cross(axis, anterior))
+
+
+def anterior_of(axis: Array) -> Array:
+    """Unit vector (3,) across a limb towards anterior, -y of LPS."""
     anterior = np.array([0.0, -1.0, 0.0])
     anterior -= (anterior @ axis) * axis
-    anterior /= np.linalg.norm(anterior)
-    return np.asarray(np.cos(angle) * anterior + np.sin(angle) * np.cross(axis, anterior))
+    return anterior / np.linalg.norm(anterior)
 
 
 def cut_across(skin: Triangles, axis: Array, height: float) -> tuple[Array, Array] | None:

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from limbcli.meshing.distance import Field
-from limbcli.meshing.domain import BONE, CUT, SKIN, TissueDomain
+from limbcli.meshing.domain import TissueDomain
 from limbcli.meshing.facet_kernels import bucketed
 from limbcli.model import Array, IntArray
 from limbcli.numbers.compiled import njit
@@ -283,6 +283,3 @@ def _smooth(
                 moved += 1
         if moved == 0 and step > 3:
             break
-
-
-__all__ = ["BONE", "CUT", "FIXED", "FREE", "SKIN", "NodeConstraints", "put_back", "smooth", "worst_sines"]

@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from limbcli.meshing.anatomy import bone_named
-from limbcli.meshing.mending import Limb, long_axis
+from limbcli.meshing.frame import anterior_of, proximal_direction
+from limbcli.meshing.mending import Limb
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
-from limbcli.model.patient_frame import toward_head
 
 PATCHES = ("fibular_head", "patellar_tendon", "tibial_end", "tibial_crest", "popliteal", "distal_end")
 LANDMARKS = (
@@ -80,10 +80,8 @@ def limb_frame(limb: Limb, side: str) -> LimbFrame:
 
     side : "left" or "right"
     """
-    axis = toward_head(long_axis([limb.skin, *limb.bones]))
-    anterior = np.array([0.0, -1.0, 0.0])
-    anterior = anterior - (anterior @ axis) * axis
-    anterior /= np.linalg.norm(anterior)
+    axis = proximal_direction(limb)
+    anterior = anterior_of(axis)
     left = np.cross(axis, anterior)
     along = limb.skin.points @ axis
     middle = np.average(limb.skin.centroids, axis=0, weights=limb.skin.areas)

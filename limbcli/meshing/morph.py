@@ -15,7 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
 from limbcli.errors import MeshError
-from limbcli.meshing.quality import EDGES
+from limbcli.meshing.quality import EDGES, volumes
 from limbcli.meshing.rods import Rod
 from limbcli.model import Array, IntArray, Mesh
 
@@ -43,7 +43,7 @@ def morphed(mesh: Mesh, moves: Mapping[str, Array]) -> Mesh:
         ends = cells[:, EDGES]
         moved[cells[:, 4:]] = 0.5 * (moved[ends[:, :, 0]] + moved[ends[:, :, 1]])
     points = mesh.points + moved
-    least = float((_volumes(points, corners) / _volumes(mesh.points, corners)).min())
+    least = float((volumes(points, corners) / volumes(mesh.points, corners)).min())
     if least < LEAST_VOLUME:
         raise MeshError(
             f"a cell would keep {100 * least:.0f} % of its volume",
@@ -51,11 +51,6 @@ def morphed(mesh: Mesh, moves: Mapping[str, Array]) -> Mesh:
             fix="give the bone's surface, or use a finer mesh (--size-mm)",
         )
     return replace(mesh, points=points)
-
-
-def _volumes(points: Array, corners: IntArray) -> Array:
-    a, b, c, d = (points[corners[:, k]] for k in range(4))
-    return np.asarray(np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6.0)
 
 
 def _carried(points: Array, corners: IntArray, given: np.ndarray, at: Array) -> Array:

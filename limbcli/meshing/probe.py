@@ -124,13 +124,12 @@ def probe_mesh(shape: ProbeShape, *, size: float = 3.0) -> ProbeMesh:
     a, b = shape.flat
     xs = np.linspace(-a, a, max(2, round(2 * a / size) + 1))
     ys = np.linspace(-b, b, max(2, round(2 * b / size) + 1))
-    builder.patch(lambda u, v: (u, v, 0.0), xs, ys, down=True)
+    builder.flat(xs, ys)
     r = shape.edge_radius
     arc = max(_ARC, int(np.ceil(_ARC * np.sqrt(r / _ARC_RADIUS))))
     up = np.linspace(0, np.pi / 2, arc + 1)
     walls = np.linspace(r, shape.wall, max(2, round((shape.wall - r) / 5.0) + 1))
-    rim = _rim(xs, ys, up)
-    builder.rings(rim, r, up, walls)
+    builder.rings(_rim(xs, ys, up), r, up, walls)
     return builder.mesh()
 
 
@@ -173,12 +172,12 @@ class _Builder:
         elif len(unique) == 3:
             self._tips.append(unique)
 
-    def patch(self, at, us: Array, vs: Array, *, down: bool) -> None:  # type: ignore[no-untyped-def]
-        numbers = [[self._point(*map(float, at(u, v))) for v in vs] for u in us]
-        for i in range(len(us) - 1):
-            for j in range(len(vs) - 1):
-                facet = [numbers[i][j], numbers[i + 1][j], numbers[i + 1][j + 1], numbers[i][j + 1]]
-                self._facet(facet[::-1] if down else facet)
+    def flat(self, xs: Array, ys: Array) -> None:
+        """The flat part of the face, seen from below."""
+        numbers = [[self._point(float(x), float(y), 0.0) for y in ys] for x in xs]
+        for left, right in itertools.pairwise(numbers):
+            for j in range(len(ys) - 1):
+                self._facet([left[j + 1], right[j + 1], right[j], left[j]])
 
     def rings(self, rim: list[tuple[float, float, float]], r: float, up: Array, walls: Array) -> None:
         """Rounded edge and walls: rings of points above one another around the rim."""
@@ -187,10 +186,9 @@ class _Builder:
             [self._point(x + out * np.cos(t), y + out * np.sin(t), z) for x, y, t in rim]
             for out, z in heights
         ]
-        n = len(rim)
         for lower, upper in itertools.pairwise(numbers):
-            for j in range(n):
-                k = (j + 1) % n
+            for j in range(len(rim)):
+                k = (j + 1) % len(rim)
                 self._facet([lower[j], lower[k], upper[k], upper[j]])
 
     def mesh(self) -> ProbeMesh:

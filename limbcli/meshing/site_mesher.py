@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,7 +94,7 @@ def mesh_volume(domain: TissueDomain, probes: tuple[PlacedProbe, ...], sizes: Si
             continue
         score = _score(found, probes)
         if score >= 1.0:
-            return VolumeMesh(found.points, found.cells, found.faces, found.labels, found.maker, tuple(tale))
+            return replace(found, notes=tuple(tale))
         tale.append(f"{name}: smallest dihedral angle only {score:.2f} of the required one")
         if best is None or score > best[0]:
             best = score, found
@@ -233,6 +233,3 @@ def boundary_faces(cells: IntArray) -> IntArray:
     faces = corners[:, [[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]].reshape(-1, 3)
     _, first, counts = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return faces[np.sort(first[counts == 1])]
-
-
-__all__ = ["Boundary", "VolumeMesh", "boundary_faces", "mesh_volume", "under_probe"]

@@ -20,16 +20,7 @@ from limbcli.meshing.quality import MeshQuality, quality
 from limbcli.meshing.regions import PROBE_QUADS, PROBE_TIPS, assemble
 from limbcli.meshing.remesh import Sizes
 from limbcli.meshing.site_mesher import VolumeMesh, mesh_volume, under_probe
-from limbcli.model import (
-    Curve,
-    Domain,
-    IntArray,
-    LimbModel,
-    Material,
-    Mesh,
-    Step,
-    Support,
-)
+from limbcli.model import Curve, Domain, IntArray, LimbModel, Material, Mesh, Step, Support
 from limbcli.model.bodies import Contact, Drive, RigidBody
 from limbcli.numbers.mesh_bounds import ELEMENTS
 from limbcli.progress import SILENT, Progress
@@ -160,8 +151,7 @@ def _model(mesh: Mesh, options: MeshOptions, info: Mapping[str, Any]) -> LimbMod
     """Placeholder laws and load on a mesh: indentation along -z, all else of the probe fixed."""
     half = _STIFFNESS / 2
     tissue = Material(
-        "ogden",
-        {"c1": half, "m1": _EXPONENT, "c2": half, "m2": -_EXPONENT, "kappa": _F_KAPPA * _STIFFNESS},
+        "ogden", {"c1": half, "m1": _EXPONENT, "c2": half, "m2": -_EXPONENT, "kappa": _F_KAPPA * _STIFFNESS}
     )
     body = RigidBody("probe", (0.0, 0.0, -options.start_depth), (PROBE_QUADS, PROBE_TIPS))
     held = tuple(Drive("probe", dof, "fixed") for dof in ("x", "y", "u", "v", "w"))  # type: ignore[arg-type]

@@ -28,7 +28,7 @@ class Tetrahedra:
     maker: str
 
 
-def interior_points(boundary: Boundary, field: SizeField, *, seed: int = 7) -> Array:
+def interior_points(boundary: Boundary, field: SizeField, *, seed: int) -> Array:
     """Interior points (n, 3), about one target edge length apart (Poisson discs), off the boundary."""
     rng = np.random.default_rng(seed)
     grid = field.domain.skin.grid
@@ -77,13 +77,7 @@ def _discs(points: Array, radius: Array) -> Array:
     return points[keep]
 
 
-def tetgen_mesh(
-    boundary: Boundary,
-    inner: Array,
-    *,
-    min_ratio: float = 1.4,
-    min_dihedral_deg: float = 12.0,
-) -> Tetrahedra:
+def tetgen_mesh(boundary: Boundary, inner: Array, *, min_ratio: float, min_dihedral_deg: float) -> Tetrahedra:
     """Run TetGen in a separate process (it may crash or not terminate); boundary facets are preserved.
 
     Raises MeshError if TetGen refuses the surface, crashes, or runs out of time.
