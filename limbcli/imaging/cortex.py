@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from limbcli.imaging.intensity import TissueIntensities
-from limbcli.imaging.signed_distance import box_around, closed, distance_to, evened, is_near, opened
+from limbcli.imaging.signed_distance import box_around, closed, distance_to, ellipse, evened, is_near, opened
 from limbcli.model import Array
 
 _THICKEST = 14.0  # largest thickness of cortex, mm (the tibial crest)
@@ -32,9 +32,7 @@ def with_cortex(
     values = ndimage.gaussian_filter(intensities.values, [0.25 / spacing[0], 0.25 / spacing[1], 0])
     # Darker than half the nearby tissue; in a local minimum, which also detects a wall thinner than a voxel,
     # whose edge is half way between its own minimum and the tissue.
-    reach = [max(1, round(_NEARBY / each)) for each in spacing[:2]]
-    x, y = np.mgrid[-reach[0] : reach[0] + 1, -reach[1] : reach[1] + 1]
-    footprint = ((x / reach[0]) ** 2 + (y / reach[1]) ** 2 <= 1)[:, :, None]
+    footprint = ellipse(*(max(1, round(_NEARBY / each)) for each in in_plane))
     beside = np.clip(ndimage.grey_dilation(values, footprint=footprint), *_EDGE)
     darkest = np.clip(ndimage.grey_erosion(values, footprint=footprint), 0.0, None)
     dark = (values < 0.5 * beside) & limb

@@ -35,15 +35,12 @@ def layers_at(position: Array, skin: Triangles, fat: Volume) -> Layers | None:
 
     position : patient LPS (3,), mm;  fat : Volume of bool
     """
-    corner = skin.points[skin.faces]
-    normals = np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0])
-    centres = corner.mean(axis=1)
     nearest = skin.points[np.argmin(np.linalg.norm(skin.points - position, axis=1))]
-    near = np.linalg.norm(centres - nearest, axis=1) < _PATCH
-    normal = normals[near].sum(axis=0)
+    near = np.linalg.norm(skin.centroids - nearest, axis=1) < _PATCH
+    normal = skin.area_vectors[near].sum(axis=0)
     normal /= np.linalg.norm(normal)
     depth = np.arange(0.0, _DEEPEST, _STEP)
-    rays = centres[near][:, None, :] - depth[:, None] * normal
+    rays = skin.centroids[near][:, None, :] - depth[:, None] * normal
     index = fat.to_voxel(rays.reshape(-1, 3)).T
     inside = ndimage.map_coordinates(fat.values.astype(np.float32), index, order=1).reshape(rays.shape[:2])
     found = np.array([run for run in map(_first_run, inside > 0.5) if run is not None])

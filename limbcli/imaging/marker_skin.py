@@ -10,11 +10,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from limbcli.imaging.markers import MarkerCapsule
+from limbcli.imaging.markers import BLUR_MM, MarkerCapsule
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array
 
-_BLUR = 3.0  # mm around a capsule affected by its brightness
 _BLEND = 4.0  # mm: width of the transition to the unmodified outline
 _RING = 8.0  # mm: width of the ring from which the skin is extrapolated
 _FEWEST = 12
@@ -37,7 +36,7 @@ def without_bumps(skin: Triangles, markers: Sequence[MarkerCapsule]) -> tuple[Tr
 
 
 def _smoothed(points: Array, normals: Array, marker: MarkerCapsule) -> tuple[Array, float]:
-    reach = (3.0 * marker.volume / (4.0 * np.pi)) ** (1 / 3) + _BLUR
+    reach = (3.0 * marker.volume / (4.0 * np.pi)) ** (1 / 3) + BLUR_MM
     centre = np.array(marker.position)
     spot = int(np.argmin(np.linalg.norm(points - centre, axis=1)))
     near = np.flatnonzero(np.linalg.norm(points - points[spot], axis=1) < reach + _BLEND + _RING + 4.0)

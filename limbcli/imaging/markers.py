@@ -15,7 +15,7 @@ from limbcli.imaging.volume import Volume
 from limbcli.model import Array
 
 _BALL = 12.0  # mm: radius of the ball of a morphological opening that removes markers but not the limb
-_BLUR = 3.0  # mm around a marker affected by its brightness
+BLUR_MM = 3.0  # mm around a marker affected by its brightness
 _PROUD = 2.0  # mm: smallest height of a marker above the skin
 MARKER_SIZES_MM3 = (30.0, 4000.0)  # smallest and largest volume of a marker
 _AWAY = 15.0  # mm: largest distance of a marker from the limb
@@ -78,7 +78,7 @@ def find_markers(volume: Volume, intensities: TissueIntensities, limb: NDArray[n
             centres.append(ndimage.center_of_mass(weight))
             sizes.append(float(volumes[number]))
     positions = volume.to_patient(np.array(centres).reshape(-1, 3))
-    around = is_near(kept, _BLUR, spacing) & ~body
+    around = is_near(kept, BLUR_MM, spacing) & ~body
     return FoundMarkers(number_markers(positions, np.array(sizes), volume, body), kept, around)
 
 

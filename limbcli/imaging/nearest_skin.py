@@ -30,7 +30,6 @@ class RoughSkin:
         inner = ndimage.binary_erosion(limb, border_value=1)
         self.points = thinned.to_patient(np.argwhere(limb & ~inner).astype(float))
         self._tree = cKDTree(self.points)
-        self.spacing = float(thinned.spacing.max())
 
     def nearest(self, point: Array) -> tuple[Array, float]:
         """The nearest boundary point (3,), patient LPS, and its distance, mm."""

@@ -79,23 +79,14 @@ def assess(found: Segmentation, names: tuple[str, ...]) -> ImageQuality:
     for name, bone in zip(names, found.bones, strict=True):
         allowed |= bone.values
         at_skin = _share_at_skin(bone.values, limb.values)
-        gaps = _gaps(bone.values)
-        is_ = f"bone {name} "
-        judge(
-            f"{name}_jump_share",
-            _jump(bone),
-            _BONE_JUMP,
-            is_ + "changes its cross-section by {:.0%} within 5 mm",
-        )
-        judge(f"{name}_at_skin_share", at_skin, _AT_SKIN, is_ + "has {:.0%} of its surface on the skin")
-        judge(f"{name}_holes_mm3", _holes(bone), _HOLE, is_ + "has holes of {:.0f} mm3")
-        judge(
-            f"{name}_half_thickness_mm",
-            _thinnest(bone),
-            _THIN,
-            is_ + "has a half-thickness of only {:.1f} mm",
-        )
-        judge(f"{name}_gaps", gaps, (0, 2), is_ + "is missing in {:.0f} slice(s) between its ends")
+        for key, value, limits, text in (
+            ("jump_share", _jump(bone), _BONE_JUMP, "changes its cross-section by {:.0%} within 5 mm"),
+            ("at_skin_share", at_skin, _AT_SKIN, "has {:.0%} of its surface on the skin"),
+            ("holes_mm3", _holes(bone), _HOLE, "has holes of {:.0f} mm3"),
+            ("half_thickness_mm", _thinnest(bone), _THIN, "has a half-thickness of only {:.1f} mm"),
+            ("gaps", _gaps(bone.values), (0, 2), "is missing in {:.0f} slice(s) between its ends"),
+        ):
+            judge(f"{name}_{key}", value, limits, f"bone {name} {text}")
     share = _largest_share(allowed, limb.values)
     judge("bone_section_share", share, _SECTION, "bone fills {:.0%} of a section of the limb (a leak?)")
     worst = max((grade for grade, _ in remarks), default=0)

@@ -112,6 +112,12 @@ def closed(mask: NDArray[np.bool_], radius: float, spacing: Array) -> NDArray[np
     return ndimage.binary_fill_holes(shrunk | wide)[pad:-pad, pad:-pad]
 
 
+def ellipse(a: int, b: int) -> NDArray[np.bool_]:
+    """The neighbours (2 a + 1, 2 b + 1, 1) of a voxel within its slice, a and b voxels away at most."""
+    x, y = np.mgrid[-a : a + 1, -b : b + 1]
+    return ((x / a) ** 2 + (y / b) ** 2 <= 1.0)[:, :, None]
+
+
 def largest(mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """The largest connected component."""
     parts, n_parts = ndimage.label(mask)

@@ -8,7 +8,7 @@ from scipy import ndimage
 
 from limbcli.errors import CaseError
 from limbcli.imaging.intensity import TissueIntensities, otsu
-from limbcli.imaging.signed_distance import evened, filled_by_slice, is_near, largest, opened
+from limbcli.imaging.signed_distance import ellipse, evened, filled_by_slice, is_near, largest, opened
 from limbcli.imaging.volume import Volume
 
 _ROUGH = 0.33  # fraction of Otsu's threshold that skin (darker than muscle on T1) still exceeds
@@ -79,7 +79,7 @@ def skin_outline(
     raw = _blurred(volume)
     values = _blurred(volume.with_values(intensities.values))
     reach = [max(1, round(1.0 / each)) for each in volume.spacing[:2]]
-    beside = ndimage.grey_dilation(values, footprint=_ellipse(*reach)[:, :, None])
+    beside = ndimage.grey_dilation(values, footprint=ellipse(*reach))
     near = is_near(rough, 1.0, np.array([*(1 / (3 * n) for n in reach), 2.0]))  # within the slices
     if threshold is not None:
         above = (raw > threshold) & near
@@ -98,8 +98,3 @@ def _blurred(volume: Volume) -> NDArray[np.float32]:
     sigma = 0.4 / volume.spacing
     sigma[2] = 0.0
     return ndimage.gaussian_filter(volume.values.astype(np.float32), sigma)
-
-
-def _ellipse(a: int, b: int) -> NDArray[np.bool_]:
-    x, y = np.mgrid[-a : a + 1, -b : b + 1]
-    return (x / a) ** 2 + (y / b) ** 2 <= 1.0

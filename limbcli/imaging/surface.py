@@ -15,7 +15,7 @@ from skimage import measure
 
 from limbcli.errors import CaseError, MeshError
 from limbcli.files.atomic import atomic_file
-from limbcli.imaging.signed_distance import box_around, signed_distance
+from limbcli.imaging.signed_distance import box_around, largest, signed_distance
 from limbcli.imaging.volume import Volume
 from limbcli.meshing import surfaces
 from limbcli.meshing.meshlab import open_pymeshlab
@@ -106,10 +106,7 @@ def _largest_part(values: NDArray[np.float32]) -> NDArray[np.float32]:
     """Remove everything but the largest component of the inside, and fill its holes."""
     tiny = np.float32(1e-3)
     values = np.where(np.abs(values) < tiny, np.copysign(tiny, values), values)
-    parts, n_parts = ndimage.label(values > 0)
-    if n_parts > 1:
-        keep = np.bincount(parts.ravel())[1:].argmax() + 1
-        values = np.where((values > 0) & (parts != keep), -tiny, values)
+    values = np.where((values > 0) & ~largest(values > 0), -tiny, values)
     holes = ndimage.binary_fill_holes(values > 0) & (values <= 0)
     return np.where(holes, tiny, values)
 
