@@ -40,12 +40,16 @@ class AgreementView:
         >>> AgreementView("bad", "off by 2 N").sentence
         'Bad: off by 2 N.'
         """
-        tail = self.words.rstrip(".")
-        return (
-            f"{tail[:1].upper()}{tail[1:]}."
-            if self.state == "untested"
-            else f"{self.state.capitalize()}: {tail}."
-        )
+        words = self.words.rstrip(".")
+        return sentence_of(words if self.state == "untested" else f"{self.state}: {words}")
+
+
+def sentence_of(words: str) -> str:
+    """
+    >>> sentence_of("geometry assumed, not imaged: a limb")
+    'Geometry assumed, not imaged: a limb.'
+    """
+    return f"{words[0].upper()}{words[1:]}." if words else ""
 
 
 UNTESTED = AgreementView("untested", _SILENT)
@@ -61,13 +65,10 @@ def agreement_view(data: Mapping[str, Any], part: str = "") -> AgreementView:
     >>> agreement_view(told).words, agreement_view(told, "force").state, agreement_view({}).state
     ('b', 'good', 'untested')
     """
-    found = data.get("agreement")
-    if not isinstance(found, Mapping):
-        return UNTESTED
-    parts = [each for each in map(found.get, ("tissue", "force", "speeds")) if isinstance(each, Mapping)]
-    if part:
-        found = found.get(part)
-    if not isinstance(found, Mapping) or found.get("state") not in _MOODS:
+    whole = data.get("agreement") or {}
+    parts = [each for each in map(whole.get, ("tissue", "force", "speeds")) if each]
+    found = (whole.get(part) or {}) if part else whole
+    if found.get("state") not in _MOODS:
         return UNTESTED
     state = cast(State, found["state"])
     told = found.get("words") or next(

@@ -19,6 +19,7 @@ _LABELS = {
     "ogden": "Ogden type",
 }
 _DEPTH, _MEASURED, _FORCE_UNIT = "depth_mm", "measured_n", "_n"
+_SAME_DEPTH = 1e-4  # tolerance (mm) of equal depths; the file has six digits
 
 
 def read_curves(result: StageResult, measured_depth: Array | None = None) -> tuple[SimulatedCurve, ...]:
@@ -62,7 +63,10 @@ def _columns(result: StageResult, name: str, *, needed: tuple[str, ...] = (_DEPT
     try:
         with path.open(newline="", encoding="utf-8") as stream:
             rows = list(csv.DictReader(stream))
-        columns = {column: _numbers(rows, column) for column in (rows[0] if rows else {})}
+        columns = {
+            column: np.array([float(row[column]) if row[column] != "" else np.nan for row in rows])
+            for column in (rows[0] if rows else {})
+        }
         lacking = [each for each in needed if each not in columns]
         if lacking:
             raise ValueError(f"they lack the column {', '.join(lacking)}")
@@ -75,10 +79,6 @@ def _columns(result: StageResult, name: str, *, needed: tuple[str, ...] = (_DEPT
     return columns
 
 
-def _numbers(rows: list[dict[str, str]], name: str) -> Array:
-    return np.array([float(row[name]) if row[name] != "" else np.nan for row in rows])
-
-
 def _curve(key: str, depth: Array, force: Array, measured_depth: Array | None) -> SimulatedCurve:
     label = _LABELS.get(key, key)
     if measured_depth is None:
@@ -87,6 +87,3 @@ def _curve(key: str, depth: Array, force: Array, measured_depth: Array | None) -
     nearest = gap.argmin(axis=1)
     sampled = np.where(gap.min(axis=1) < _SAME_DEPTH, force[nearest], np.nan)
     return SimulatedCurve(key, label, depth, force, sampled)
-
-
-_SAME_DEPTH = 1e-4  # tolerance (mm) of equal depths; the file has six digits

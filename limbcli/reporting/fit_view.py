@@ -111,36 +111,23 @@ class FitView:
 def read_fit_view(result: StageResult) -> FitView:
     """The fit of one site, from its result."""
     data = result.data
-    element = str(data.get("element", DASH))
-    steps = tuple(
-        _step(key, content, element)
-        for key, content in data.get("steps", {}).items()
-        if isinstance(content, Mapping)
-    )
-    noise, options = data.get("noise"), data.get("asked")
+    element, steps = str(data.get("element", DASH)), data.get("steps", {})
     solver = " ".join(str(data[key]) for key in ("solver", "solver_version") if data.get(key))
-    walks = tuple(
-        walk for key, content in data.get("steps", {}).items() if (walk := _walk(key, content)) is not None
-    )
+    walks = (_walk(key, content) for key, content in steps.items())
     return FitView(
         element=element,
         solver=solver or DASH,
         c_source=str(data.get("c_source") or "").replace("2 mu ", "2 µ "),
-        c_is_given=isinstance(options, Mapping) and number(options.get("c_kpa")) is not None,
+        c_is_given=number((data.get("asked") or {}).get("c_kpa")) is not None,
         noise_scale=number(data.get("noise_scale")),
-        noise_source=str(noise.get("source", "")) if isinstance(noise, Mapping) else "",
-        steps=steps,
-        walks=walks,
+        noise_source=str((data.get("noise") or {}).get("source", "")),
+        steps=tuple(_step(key, content, element) for key, content in steps.items()),
+        walks=tuple(each for each in walks if each is not None),
         raw=data,
         force=agreement_view(data, "force"),
-        speeds=agreement_view(data, "speeds") if _has_speeds(data) else None,
+        speeds=agreement_view(data, "speeds") if "speeds" in (data.get("agreement") or {}) else None,
         whole=agreement_view(data),
     )
-
-
-def _has_speeds(data: Mapping[str, Any]) -> bool:
-    found = data.get("agreement")
-    return isinstance(found, Mapping) and "speeds" in found
 
 
 _UNITS = {"f_kappa": ("f_κ", ""), "m": ("m", ""), "c_kpa": ("c", "kPa"), "kappa_kpa": ("κ′", "kPa")}

@@ -10,7 +10,7 @@ from limbcli.reporting.figures.section import (
     cut_triangles,
     linear_tetrahedra,
     linear_triangles,
-    on_segments,
+    on_edges,
 )
 
 CORNERS = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1.0]])
@@ -87,7 +87,7 @@ def test_tri6_parts_fill_the_facet():
 def test_facets_are_cut_to_segments_on_the_plane():
     points = np.array([[0, -1, 0], [0, 1, 0], [2, 1, 0], [2, -1, 0.0]])
     ends, weight = cut_triangles(points, linear_triangles("quad4", np.arange(4)[None]))
-    segments = on_segments(ends, weight, points)
+    segments = on_edges(ends, weight, points)
     np.testing.assert_allclose(segments[..., 1], 0, atol=1e-8)
     lengths = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
     assert lengths.sum() == pytest.approx(2.0, abs=1e-6)

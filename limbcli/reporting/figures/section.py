@@ -39,8 +39,7 @@ class Section:
 
     def at(self, values: Array) -> Array:
         """Nodal values (n_points, ...) interpolated linearly along the edges to the vertices."""
-        weight = self.weight.reshape(-1, *([1] * (values.ndim - 1)))
-        return (1.0 - weight) * values[self.ends[:, 0]] + weight * values[self.ends[:, 1]]
+        return on_edges(self.ends, self.weight, values)
 
 
 def linear_tetrahedra(kind: str, cells: IntArray) -> tuple[IntArray, IntArray]:
@@ -109,10 +108,11 @@ def outline(points: Array, facets: Mapping[str, IntArray], values: Array) -> Arr
     lines = [np.zeros((0, 2, 2))]
     for kind, each in facets.items():
         ends, weight = cut_triangles(points, linear_triangles(kind, each))
-        lines.append(on_segments(ends, weight, values)[:, :, [0, 2]])
+        lines.append(on_edges(ends, weight, values)[:, :, [0, 2]])
     return np.concatenate(lines)
 
 
-def on_segments(ends: IntArray, weight: Array, values: Array) -> Array:
-    """Nodal values (n_points, d) interpolated to both ends of each segment: (n, 2, d)."""
-    return (1.0 - weight)[..., None] * values[ends[..., 0]] + weight[..., None] * values[ends[..., 1]]
+def on_edges(ends: IntArray, weight: Array, values: Array) -> Array:
+    """Nodal values (n_points, ...) interpolated linearly to places on edges, each of two nodes (..., 2)."""
+    weight = weight.reshape(*weight.shape, *([1] * (values.ndim - 1)))
+    return (1.0 - weight) * values[ends[..., 0]] + weight * values[ends[..., 1]]

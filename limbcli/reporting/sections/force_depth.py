@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -15,7 +14,6 @@ from limbcli.reporting.fit_view import FitView, read_fit_view
 from limbcli.reporting.numbers import quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
 from limbcli.reporting.reportlet import Picture, Reportlet, placeholder
-from limbcli.results import UNLIKE_OURS
 
 TITLE = "Does the model follow the measured force?"
 _NO_FIT = (
@@ -67,16 +65,8 @@ def force_over_depth(page: ReportData, site: SiteMaterial) -> Reportlet:
 
 def _counted(view: FitView) -> tuple[Array, Array] | None:
     """Depths (mm) of the loaded levels and the noise (N) that the fit counted there, or None."""
-    found = view.raw.get("agreement")
-    force = found.get("force") if isinstance(found, Mapping) else None
-    if not isinstance(force, Mapping):
-        return None
-    try:
-        depth, spread = (
-            np.asarray(force[name], dtype=np.float64) for name in ("depths_mm", "counted_noise_n")
-        )
-    except UNLIKE_OURS:
-        return None
+    force = (view.raw.get("agreement") or {}).get("force") or {}
+    depth, spread = (np.asarray(force.get(name, ()), float) for name in ("depths_mm", "counted_noise_n"))
     return (depth, spread) if depth.size and depth.shape == spread.shape and spread.any() else None
 
 

@@ -90,13 +90,10 @@ def _pictures(result: StageResult) -> tuple[Picture, ...]:
     found = pictures_of(result, {name: (name.replace("_", "-"), alt) for name in names})
     if not found or "skin" not in result.files or not result.path("skin").is_file():
         return found
-    alt = f"Pressure on the {pressed} under the last load."
-    return (*found, replace(found[-1], name="socket-3d", alt=alt, scene=_scene(result)))
-
-
-def _scene(result: StageResult) -> dict[str, Any]:
     with np.load(result.path("skin")) as stored:
-        return pressure_scene(**{name: stored[name] for name in _SCENE})
+        scene = pressure_scene(**{name: stored[name] for name in _SCENE})
+    alt = f"Pressure on the {pressed} under the last load."
+    return (*found, replace(found[-1], name="socket-3d", alt=alt, scene=scene))
 
 
 def _table(data: Mapping[str, Any]) -> PageTable:

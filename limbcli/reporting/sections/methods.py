@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 from limbcli.reporting.fit_view import EstimateView, FitView, read_fit_view
@@ -98,16 +98,12 @@ def _geometry(page: ReportData) -> str:
     image = data.get("image")
     if data.get("source") == "mri" and isinstance(image, Mapping):
         kind = "CT" if image.get("modality") == "CT" else "MRI"
-        spacing = image.get("spacing_mm")
-        voxels = f" of {_by(spacing)} mm" if isinstance(spacing, Sequence) else ""
+        spacing = [f"{each:g}" for each in image.get("spacing_mm") or ()]
+        voxels = f" of {' x '.join(spacing)} mm" if spacing else ""
         slices = f" ({image['n_slices']} slices, voxels{voxels})" if image.get("n_slices") else ""
         limb = f"{page.case.limb} limb"
         return f"Skin and bones of the {limb} were segmented from a series of {kind} images{slices}."
     return _GEOMETRY.get(str(data.get("source")), "").format(limb=page.case.limb)
-
-
-def _by(lengths: Sequence[object]) -> str:
-    return " x ".join(f"{each:g}" for each in map(number, lengths) if each is not None)
 
 
 def _model(page: ReportData, site: SiteMaterial) -> str:

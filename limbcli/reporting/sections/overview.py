@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from limbcli.numbers.interval_limits import Flag
-from limbcli.reporting.agreement_view import AgreementView
+from limbcli.reporting.agreement_view import AgreementView, sentence_of
 from limbcli.reporting.figures.limb_views import limb_place_figure
 from limbcli.reporting.fit_view import EstimateView, FitView, StepView, read_fit_view
 from limbcli.reporting.numbers import interval, quantity
@@ -110,14 +110,6 @@ def overview(page: ReportData) -> Overview:
         mood=mood, sentence=sentence, sites=sites, failures=failures, warnings=tuple(warnings),
         warning_groups=ranked,
     )  # fmt: skip
-
-
-def sentence_of(words: str) -> str:
-    """
-    >>> sentence_of("geometry assumed, not imaged: a limb")
-    'Geometry assumed, not imaged: a limb.'
-    """
-    return f"{words[0].upper()}{words[1:]}."
 
 
 def _overall(sites: tuple[SiteGlance, ...], failed: bool, warned: bool) -> Mood:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from limbcli.numbers.significant_digits import significant
-from limbcli.reporting.agreement_view import agreement_view
+from limbcli.reporting.agreement_view import agreement_view, sentence_of
 from limbcli.reporting.fit_view import read_estimates
 from limbcli.reporting.numbers import DASH, cell, quantity
 from limbcli.reporting.report_data import ReportData, SiteMaterial
@@ -91,8 +91,9 @@ def _stretch(stretch: Mapping[str, Any]) -> Cell:
 
 
 def _notes(data: Mapping[str, Any]) -> list[str]:
-    notes = [_sentence(each.get("words")) for each in (data.get("least_stiffness") or {}).values()]
-    for way, each in (data.get("least_stiffness") or {}).items():
+    least = data.get("least_stiffness") or {}
+    notes = [sentence_of(str(each.get("words") or "")) for each in least.values()]
+    for way, each in least.items():
         notes.append(_by_states(way, each.get("by_parabola_through_states") or {}))
     for way in _WAYS:
         found = (data.get("parameters") or {}).get(f"unloaded_stretch_{way}")
@@ -113,15 +114,6 @@ def _notes(data: Mapping[str, Any]) -> list[str]:
         f"{quantity(data.get('chi_square'), '')} for {data.get('n_freedom', DASH)} degrees of freedom."
     )
     return [each for each in notes if each]
-
-
-def _sentence(words: object) -> str:
-    """
-    >>> _sentence("along the limb, it is so")
-    'Along the limb, it is so.'
-    """
-    text = str(words or "")
-    return f"{text[:1].upper()}{text[1:]}." if text else ""
 
 
 def _by_states(way: str, found: Mapping[str, Any]) -> str:

@@ -18,6 +18,7 @@ from limbcli.files.plain_text import write_rows
 from limbcli.meshing.surfaces import Triangles
 from limbcli.model import Array, LimbModel
 from limbcli.numbers.units import kpa_from_mpa
+from limbcli.reporting.figures.style import facets
 from limbcli.sockets.donning import SocketState
 from limbcli.stages.in_socket.intervals import QUANTITIES, WHOLE, Interval, PatchPressure
 from limbcli.stages.in_socket.limb_in_socket import LimbInSocket, facets_of_patches, lateral_of
@@ -115,11 +116,9 @@ def pressure_picture(path: Path, together: LimbInSocket, pressure_kpa: Array, ti
 def _collection(
     axes: Any, plan: Array, pressure: Array, scale: Normalize, order: NDArray[np.int64]
 ) -> PolyCollection:
-    drawn = PolyCollection(list(plan[order]), cmap="viridis", norm=scale, edgecolors="face", linewidths=0.2)
+    drawn = facets(axes, plan[order], cmap="viridis", norm=scale, rasterized=False)
     drawn.set_array(np.ma.masked_less_equal(pressure[order], 0.0))
     drawn.cmap = drawn.cmap.with_extremes(bad=_FREE)
-    axes.add_collection(drawn)
-    axes.autoscale_view()
     return drawn
 
 
