@@ -79,7 +79,8 @@ def contact_sheet(
     """
     grey, _, _ = image.along_limb()
     labels, _, _ = found.labels.along_limb()
-    chosen = np.unique(np.linspace(*_ends(labels.values), _COLUMNS * _ROWS).round().astype(int))
+    filled = np.flatnonzero((labels.values > 0).any(axis=(0, 1)))
+    chosen = np.unique(np.linspace(filled[0], filled[-1], _COLUMNS * _ROWS).round().astype(int))
     rows = int(np.ceil(len(chosen) / _COLUMNS))
     window = box_around(np.any(labels.values > 0, axis=2), np.ceil(6.0 / grey.spacing[:2]))
     across, down = slice_axes(grey, (*window, slice(int(chosen[0]), int(chosen[-1]) + 1)))
@@ -131,11 +132,6 @@ def _label_sides(axes: Axes, grey: Volume) -> None:
             va={0.98: "top", 0.02: "bottom"}.get(y, "center"),
             path_effects=[withStroke(linewidth=1.5, foreground="black")],
         )  # fmt: skip
-
-
-def _ends(labels: NDArray) -> tuple[int, int]:
-    filled = np.flatnonzero((labels > 0).any(axis=(0, 1)))
-    return int(filled[0]), int(filled[-1])
 
 
 def _extent(

@@ -74,31 +74,31 @@ def change_text(difference: Difference) -> str:
     able = [each for each in found if each.explains and each.left - found[0].left < TOLD_APART]
     if not able:
         return f"{pair} the curve changed in a way that no single cause explains"
-    words = [_WORDS[each.name](each) for each in able]
+    words = [_in_words(each) for each in able]
     if len(words) == 1:
         return f"{pair} {words[0]}"
     return f"{pair} either {', or '.join(words)}: these levels cannot distinguish them"
 
 
-def _residual(change: CycleChange) -> str:
-    way = "deeper" if change.size > 0 else "less deep"
-    size = f"{short(abs(change.size), 2)} mm (deviation {short(change.deviation, 1)})"
-    return f"all depths are {size} {way}: deformation that did not recover, or a shift of the depth's zero"
+# by explanation: the unit and its factor, what a positive and a negative size mean, and the sentence
+_WORDS = {
+    "residual depth": (
+        "mm", 1, "deeper", "less deep",
+        "all depths are {size} {way}: deformation that did not recover, or a shift of the depth's zero",
+    ),
+    "compliance": (
+        "%", 100, "softer", "stiffer", "the tissue became {way} by {size} of the depth: preconditioning",
+    ),
+    "force offset": (
+        "N", 1, "less", "more", "the load cell reads {size} {way} at the same deformation: drift of its zero",
+    ),
+}  # fmt: skip
 
 
-def _compliance(change: CycleChange) -> str:
-    way = "softer" if change.size > 0 else "stiffer"
-    share = f"{short(100 * abs(change.size), 2)} % (deviation {short(100 * change.deviation, 1)})"
-    return f"the tissue became {way} by {share} of the depth: preconditioning"
-
-
-def _offset(change: CycleChange) -> str:
-    way = "less" if change.size > 0 else "more"
-    size = f"{short(abs(change.size), 2)} N (deviation {short(change.deviation, 1)})"
-    return f"the load cell reads {size} {way} at the same deformation: drift of its zero"
-
-
-_WORDS = {"residual depth": _residual, "compliance": _compliance, "force offset": _offset}
+def _in_words(change: CycleChange) -> str:
+    unit, factor, more, less, text = _WORDS[change.name]
+    size = f"{short(factor * abs(change.size), 2)} {unit} (deviation {short(factor * change.deviation, 1)})"
+    return text.format(size=size, way=more if change.size > 0 else less)
 
 
 def support_text(levels: Levels, study: CycleStudy, *, travel_deviation: float) -> str | None:

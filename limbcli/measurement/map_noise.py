@@ -80,7 +80,8 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
     known = np.isfinite(left)
     if not known.any():
         return PixelNoise(usual)
-    left = np.where(known, np.clip(left, *_within(left[known])), np.nan)
+    outlier = 4 * 1.4826 * float(np.median(np.abs(left[known])))
+    left = np.where(known, np.clip(left, -outlier, outlier), np.nan)
     # variance factor of a value minus half of its two neighbours
     deviation = float(np.sqrt(np.nanmean(left**2) / 1.5))
     if deviation <= 0.0:
@@ -91,12 +92,6 @@ def pixel_noise(maps: Sequence[SweMap], *, usual: float) -> PixelNoise:
         if len(values) >= _FEWEST_BLOCKS and np.nanmax(values) > np.nanmin(values):
             return PixelNoise(deviation, *_likeliest(_rough_parts(values, apart, surfaces)))
     return PixelNoise(deviation)
-
-
-def _within(values: Array) -> tuple[float, float]:
-    """Limits beyond which values are outliers."""
-    spread = 1.4826 * float(np.median(np.abs(values)))
-    return -4 * spread, 4 * spread
 
 
 def _together(maps: Sequence[SweMap]) -> tuple[Array, tuple[float, float]]:

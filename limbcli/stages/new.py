@@ -44,7 +44,11 @@ def new(folder: Path, *, sites: Sequence[str] = ("p1",)) -> StageResult:
                 stream.write(text)
 
     with file_system_errors(folder):
-        _fill_empty(folder, fill) if folder.is_dir() else _fill_absent(folder, fill)
+        if folder.is_dir():
+            _fill_empty(folder, fill)
+        else:
+            with atomic_folder(folder, is_new=True) as work:
+                fill(work)
     return StageResult(
         stage="new",
         subject=subject,
@@ -97,11 +101,6 @@ def _texts(subject: str, sites: tuple[str, ...]) -> dict[str, str]:
         SCHEMA_FILE: json.dumps(case_schema(), indent=1) + "\n",
         CASE_FILE: environment.get_template(f"{CASE_FILE}.j2").render(facts),
     }
-
-
-def _fill_absent(folder: Path, fill: Callable[[Path], None]) -> None:
-    with atomic_folder(folder, is_new=True) as work:
-        fill(work)
 
 
 def _fill_empty(folder: Path, fill: Callable[[Path], None]) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,6 @@ from limbcli.config import templates_folder
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import CaseInputs
 from limbcli.provenance.requested_options import requested_of
-from limbcli.reporting.outcome import Outcome
 from limbcli.reporting.page import embed, render, save_pictures
 from limbcli.reporting.report_data import ReportData
 from limbcli.reporting.reportlet import Reportlet
@@ -91,7 +89,9 @@ def _data(page: ReportData, glance: Overview) -> dict[str, Any]:
         "limb": page.case.limb,
         "geometry_assumed": page.case.imaging.assumed,
         "stages": {each.label: each.status for each in page.outcomes.all},
-        "failures": [_failure(each) for each in glance.failures],
+        "failures": [
+            {"stage": each.stage, "site": each.site, **vars(each.failure)} for each in glance.failures
+        ],
         "n_warnings": len(glance.warnings),
         "sites": {site.name: _lines(page, site.name) for site in page.sites},
         "fitted_utc": _fitted(page),
@@ -102,11 +102,6 @@ def _fitted(page: ReportData) -> dict[str, Any]:
     """For each site, the fit that the page shows, with the time at which it ended."""
     fits = (each for each in page.outcomes.done if each.stage == "fit")
     return {str(each.site): each.result.provenance.get("finished_utc") for each in fits if each.result}
-
-
-def _failure(outcome: Outcome) -> Mapping[str, Any]:
-    assert outcome.failure is not None
-    return {"stage": outcome.stage, "site": outcome.site, **vars(outcome.failure)}
 
 
 def _lines(page: ReportData, name: str) -> dict[str, Any]:

@@ -7,7 +7,7 @@ import numpy as np
 from limbcli.inference.agreement import force_agreement
 from limbcli.inference.identifiability import NoProfile, verdict
 from limbcli.inference.parameter import FitParameter
-from limbcli.measurement.cycle_changes import CycleChange, _compliance
+from limbcli.measurement.cycle_changes import CycleChange, _in_words
 from limbcli.reporting.sections.assumed_geometry import geometry_tables
 
 
@@ -27,4 +27,4 @@ def test_errors_beyond_all_of_the_value_are_written_out():
 
 def test_change_between_cycles_is_written_out():
     change = CycleChange("compliance", 1.04, 0.12, left=1.0, explains=True)
-    assert "softer by 104 % (deviation 12)" in _compliance(change)
+    assert "softer by 104 % (deviation 12)" in _in_words(change)

@@ -36,7 +36,7 @@ def report_places(
         name: {"what": each.what, "fix": each.fix, "severity": each.severity}
         for name, each in problems.items()
     }
-    writer.warnings.extend(_warning_text(each.what, each.fix) for each in problems.values())
+    writer.warnings.extend(f"{each.what}; {each.fix}" for each in problems.values())
     bones = [each for name, each in surfaces.items() if name != "skin"]
     try:
         limb = mend(surfaces["skin"], bones, where="skin.ply")
@@ -50,15 +50,10 @@ def report_places(
     writer.summary.append(f"where a site can be: {PICTURE}, with the coordinates of its grid in {TABLE}")
 
 
-def _warning_text(what: str, fix: str) -> str:
-    return f"{what}; {fix}"
-
-
 def warnings_of_limb(segmented: StageResult) -> list[str]:
     """The warnings of a result of `segment` except those about places, which may have changed since."""
-    of_places = [
-        _warning_text(each["what"], each["fix"]) for each in segmented.data.get("site_problems", {}).values()
-    ]
+    stored = segmented.data.get("site_problems", {}).values()
+    of_places = [f"{each['what']}; {each['fix']}" for each in stored]
     return [each for each in segmented.warnings if each not in of_places]
 
 

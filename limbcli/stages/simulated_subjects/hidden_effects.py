@@ -175,25 +175,14 @@ def _skin_ratio(theta: Theta) -> float:
 # ---------------------------------------------------------------- in the readings
 
 
-def _same(values: Array) -> Array:
-    return values
-
-
 def _recorded(
-    readings: Readings, force: Callable[[Array], Array] = _same, depth: Callable[[Array], Array] = _same
-) -> Readings:
+    readings: Readings, force: Callable[[Array], Array] = np.asarray,
+    depth: Callable[[Array], Array] = np.asarray,
+) -> Readings:  # fmt: skip
     """The readings with force and depth transformed, at the levels and in the load cell's record."""
     trace = readings.trace
     record = np.column_stack([trace[:, 0], force(trace[:, 1]), depth(trace[:, 2]), trace[:, 3:]])
     return replace(readings, force=force(readings.force), depth=depth(readings.depth), trace=record)
-
-
-def _force_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    return _recorded(readings, lambda f: f + theta["force_zero_n"])
-
-
-def _force_gain(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    return _recorded(readings, lambda f: f * theta["force_gain"])
 
 
 def _depth_zero(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
@@ -256,15 +245,6 @@ def _relaxing_trace(trace: Array, share: float) -> Array:
     return np.column_stack([trace[:, 0], elastic + added, trace[:, 2:]])
 
 
-def _time_scale(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    factor = theta["swe_modulus_scale"] ** -0.5
-    return _speeds(readings, lambda v, z, k: v * factor)
-
-
-def _depth_bias(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
-    return _speeds(readings, lambda v, z, k: v * (1 - theta["swe_loss_per_mm"] * (z - 13.5)))
-
-
 def _support(readings: Readings, true: TrueLevels, theta: Theta) -> Readings:
     """Bone on a spring: the probe's recorded travel exceeds the indentation depth."""
     travel = true.depth + theta["support_compliance_mm_per_n"] * true.force
@@ -295,8 +275,14 @@ def _speeds(readings: Readings, change: Callable[[Array, Array, int], Array]) ->
 _MODELS: dict[str, Callable[[LimbModel, Theta], LimbModel]] = {"anisotropy": _fibres, "skin-layer": _skin}
 # In the order in which they are applied: effects before one that removes levels still act on all levels.
 _READINGS: dict[str, Callable[[Readings, TrueLevels, Theta], Readings]] = {
-    "viscoelasticity": _relaxing, "swe-time-scale": _time_scale, "swe-guided-wave": _guided,
-    "swe-depth-bias": _depth_bias, "support-motion": _support, "preload": _preload,
-    "force-gain": _force_gain, "force-zero": _force_zero, "depth-gain": _depth_gain,
+    "viscoelasticity": _relaxing,
+    "swe-time-scale": lambda r, _, t: _speeds(r, lambda v, z, k: v * t["swe_modulus_scale"] ** -0.5),
+    "swe-guided-wave": _guided,
+    "swe-depth-bias": lambda r, _, t: _speeds(r, lambda v, z, k: v * (1 - t["swe_loss_per_mm"] * (z - 13.5))),
+    "support-motion": _support,
+    "preload": _preload,
+    "force-gain": lambda r, _, t: _recorded(r, lambda f: f * t["force_gain"]),
+    "force-zero": lambda r, _, t: _recorded(r, lambda f: f + t["force_zero_n"]),
+    "depth-gain": _depth_gain,
     "depth-zero": _depth_zero,
-}  # fmt: skip
+}
