@@ -34,7 +34,6 @@ from limbcli.provenance.staleness import Chain
 from limbcli.results import StageResult, StageWriter, open_stage
 from limbcli.site_model.indentation_model import (
     C_KPA,
-    PROBE,
     TISSUE,
     facet_gap,
     indentation_model,
@@ -51,7 +50,6 @@ STAGE = "build-feb"
 ABAQUS_FILE = "model.inp"
 _WIDE_GAP = 0.25  # mm, gap at first touch that is reported: about one standard deviation of a depth reading
 _LINE_NEEDS = 3  # least number of speeds to extrapolate c linearly to 0 N
-__all__ = ["PROBE", "TISSUE", "TissueOptions", "build_feb", "indentation_model", "tissue_stiffness"]
 
 
 @dataclass(frozen=True)

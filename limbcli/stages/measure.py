@@ -20,8 +20,16 @@ from limbcli.errors import CaseError, MeasurementError
 from limbcli.errors.problems import Problem, raise_errors
 from limbcli.files.atomic import atomic_file, atomic_folder
 from limbcli.measurement.bmode import BoneLine, follow_bone
-from limbcli.measurement.indentation import Levels, check_levels, check_values, level_warnings, read_levels
-from limbcli.measurement.levels import LAYERS
+from limbcli.measurement.indentation import (
+    OPTIONAL,
+    REQUIRED,
+    TEXTS,
+    Levels,
+    check_levels,
+    check_values,
+    level_warnings,
+    read_levels,
+)
 from limbcli.progress import SILENT, Progress
 from limbcli.provenance.chain_inputs import noted
 from limbcli.results import StageResult, StageWriter, open_stage
@@ -176,20 +184,7 @@ def _check_agreement(columns: Mapping[str, Sequence[Any]], known: Levels | None,
 
 
 def _as_csv(columns: Mapping[str, Sequence[Any]]) -> str:
-    order = [
-        "cycle",
-        "phase",
-        "force_n",
-        "depth_mm",
-        "swe_mean_m_per_s",
-        "swe_sd_m_per_s",
-        "swe_pixels",
-        "hold_s",
-        "probe_travel_mm",
-        "skin_bone_mm",
-        *(f"{name}_mm" for name in LAYERS),
-    ]
-    names = [name for name in order if name in columns]
+    names = [name for name in dict.fromkeys(("cycle", *TEXTS, *REQUIRED, *OPTIONAL)) if name in columns]
     lines = [",".join(names)]
     for k in range(len(columns[names[0]])):
         cells = (columns[name][k] for name in names)

@@ -42,10 +42,9 @@ from limbcli.phantom.beam import skin_bone_distance
 from limbcli.phantom.case_folder import PROBE, NoiseLaw, case_table, toml
 from limbcli.progress import SILENT
 from limbcli.shear_waves.speed import block_speeds
-from limbcli.site_model.indentation_model import with_penalty
+from limbcli.site_model.indentation_model import PROBE as PROBE_BODY
+from limbcli.site_model.indentation_model import TISSUE, with_penalty
 from limbcli.solvers.solver import Simulation
-from limbcli.stages.build_feb import PROBE as PROBE_BODY
-from limbcli.stages.build_feb import TISSUE
 from limbcli.stages.simulated_subjects.hidden_effects import hide
 from limbcli.stages.simulated_subjects.indent import KnownTissue, Press
 from tests.benchmarks.mesh_sites import limbs as known

@@ -26,11 +26,11 @@ from limbcli.shear_waves.from_simulation import AT_REST, PointStates
 from limbcli.shear_waves.ogden import OgdenTerms
 from limbcli.shear_waves.pixels import Window
 from limbcli.shear_waves.speed import block_speeds, element_speeds, wave_speed_m_per_s
+from limbcli.site_model.indentation_model import PROBE, TISSUE, indentation_model
 from limbcli.site_model.prestretch import in_state, skin_rise, with_nodes_moved
 from limbcli.solvers.material_lines import displacements, material_lines
 from limbcli.solvers.session import ReferenceSession, path_dependent
 from limbcli.solvers.solver import Simulation
-from limbcli.stages.build_feb import PROBE, TISSUE, indentation_model
 
 Change = Callable[[LimbModel], LimbModel]
 FIRST_PIECE = 6.0
