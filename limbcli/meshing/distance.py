@@ -88,12 +88,12 @@ class Field:
     def with_values(self, values: Array) -> Field:
         return replace(self, values=values)
 
-    def project(self, points: Array, *, level: float = 0.0, rounds: int = 4) -> Array:
-        """Points moved along the gradient onto the isosurface of value `level`."""
+    def project(self, points: Array) -> Array:
+        """Points moved along the gradient onto the zero level."""
         x = np.array(points, float)
-        for _ in range(rounds):
+        for _ in range(4):
             g = self.gradient(x)
-            step = (self.at(x) - level) / np.maximum(np.einsum("ij,ij->i", g, g), 0.05)
+            step = self.at(x) / np.maximum(np.einsum("ij,ij->i", g, g), 0.05)
             x -= np.clip(step, -2.0, 2.0)[:, None] * g
         return x
 

@@ -60,9 +60,9 @@ def draw_cut(
     axes.set_title(f"cut through the site at {'xy'[axis]} = 0; empty inside: bone", fontsize=10)
 
 
-def section(points: Array, cells: IntArray, axis: int, at: float = 1e-6) -> list[Array]:
-    """Polygons (k, 3) in which the plane points[axis] = at intersects the tetrahedra."""
-    height = points[cells, axis] - at
+def section(points: Array, cells: IntArray, axis: int) -> list[Array]:
+    """Polygons (k, 3) in which the plane points[axis] = 0 (beside nodes on it) intersects the tetrahedra."""
+    height = points[cells, axis] - 1e-6
     cut = (height.min(axis=1) < 0) & (height.max(axis=1) > 0)
     out = []
     for corners, h in zip(points[cells[cut]], height[cut], strict=True):

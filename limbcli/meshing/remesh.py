@@ -130,27 +130,25 @@ def _bend_limit(field: Field, at: NDArray[np.bool_], sag: Array, far: float, *, 
     return np.clip(np.sqrt(8 * sag / np.maximum(bend[at], 1e-6)), min(least, far), far)
 
 
-def _cleft_limit(domain: TissueDomain, far: float, *, share: float = 4.0) -> Array:
-    """Edge length limit in narrow tissue or thin bone: `share` times half the width, at mid-width."""
+def _cleft_limit(domain: TissueDomain, far: float) -> Array:
+    """Edge length limit in narrow tissue or thin bone: four times half the width, at mid-width."""
     assert domain.bone is not None
     h = domain.skin.grid.spacing
     tissue = np.minimum(-domain.skin.values, domain.bone.values)
     out = np.full(tissue.shape, far, dtype=np.float64)
     for depth in (tissue, -domain.bone.values):
         slope = np.sqrt(sum(each**2 for each in np.gradient(depth, h)))
-        middle = (depth > 0.3 * h) & (depth < far / share) & (slope < 0.75)
-        out[middle] = np.minimum(out[middle], share * depth[middle])
+        middle = (depth > 0.3 * h) & (depth < far / 4.0) & (slope < 0.75)
+        out[middle] = np.minimum(out[middle], 4.0 * depth[middle])
     return np.maximum(out, _MIN_SIZE)
 
 
-def finer_near(field: SizeField, places: Array, *, factor: float = 0.6, reach: float = 6.0) -> SizeField:
+def finer_near(field: SizeField, places: Array) -> SizeField:
     """The size field reduced around places (n, 3) where facets intersect each other or have lost bone."""
-    grid = field.bend.grid
-    near = grid.near(places, reach)
-    values = np.where(near, factor * np.minimum(field.bend.values, field.sizes.far), field.bend.values)
-    return replace(
-        field, bend=Field(grid, _graded(np.maximum(values, 0.5), grid.spacing)), least=min(0.7, field.least)
-    )
+    grid, sizes = field.bend.grid, field.bend.values
+    values = np.where(grid.near(places, 6.0), 0.6 * np.minimum(sizes, field.sizes.far), sizes)
+    bend = Field(grid, _graded(np.maximum(values, 0.5), grid.spacing))
+    return replace(field, bend=bend, least=min(0.7, field.least))
 
 
 def bad_places(boundary: Boundary) -> Array:
@@ -190,12 +188,12 @@ def _folded(surface: Triangles) -> NDArray[np.bool_]:
     return out
 
 
-def unfold(boundary: Boundary, domain: TissueDomain, *, rounds: int = 8) -> Boundary:
+def unfold(boundary: Boundary, domain: TissueDomain) -> Boundary:
     """Unfold faces that lie over their own surface by moving their nodes to the mean of their neighbours."""
     surface, labels = boundary.surface, boundary.labels
     constraints = NodeConstraints.of_faces(len(surface.points), surface.faces, labels)
     edges = np.unique(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    for _ in range(rounds):
+    for _ in range(8):
         boundary = Boundary(surface, labels)
         unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
         folded = np.einsum("ij,ij->i", unit, outward_normals(boundary, domain)) < 0.1
@@ -222,12 +220,12 @@ def outward_normals(boundary: Boundary, domain: TissueDomain) -> Array:
     return out / np.maximum(np.linalg.norm(out, axis=1), 1e-12)[:, None]
 
 
-def _graded(limit: Array, spacing: float, *, growth: float = 0.3) -> Array:
-    """The limit, made to grow by at most `growth` mm per mm with distance from where it applies."""
+def _graded(limit: Array, spacing: float) -> Array:
+    """The limit, made to grow by at most 0.3 mm per mm with distance from where it applies."""
     out = limit
     for reach in (1, 2, 4, 8):
         shape = 2 * reach + 1
-        out = np.minimum(out, ndimage.minimum_filter(out, size=shape) + growth * reach * spacing)
+        out = np.minimum(out, ndimage.minimum_filter(out, size=shape) + 0.3 * reach * spacing)
     return out
 
 
@@ -239,7 +237,7 @@ class Boundary:
     labels: IntArray
 
 
-def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: int = 10) -> Boundary:
+def remesh(fine: Triangles, domain: TissueDomain, field: SizeField) -> Boundary:
     """Graded facets for a finely triangulated boundary; its features (edges of the cuts) stay sharp.
 
     Raises MeshError if the surface is not closed.
@@ -252,7 +250,7 @@ def remesh(fine: Triangles, domain: TissueDomain, field: SizeField, *, rounds: i
         if n < 0.02 * len(faces):
             break
         faces, _ = flip(points, faces, labels)
-    for _ in range(rounds):
+    for _ in range(10):
         points, faces, labels = split_long(points, faces, labels, field.at(points))
         for _ in range(3):
             ranks, _ = _ranks(points, faces, labels)
