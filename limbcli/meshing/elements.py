@@ -9,8 +9,7 @@ from typing import cast
 import numpy as np
 
 from limbcli.errors import MeshError
-from limbcli.meshing.quality import EDGES
-from limbcli.meshing.regions import quadratic
+from limbcli.meshing.regions import facets, quadratic
 from limbcli.meshing.site_mesher import boundary_faces
 from limbcli.model import Block, CellKind, IntArray, LimbModel, Mesh, Surface
 
@@ -69,41 +68,28 @@ def _corners(kind: str, cells: IntArray) -> IntArray:
 def _quadratic(model: LimbModel) -> LimbModel:
     mesh = model.mesh
     solid = np.concatenate([block.cells for block in mesh.solid_blocks])
-    _, _, lookup = quadratic(mesh.points, solid)
-    ends = np.array(list(lookup), dtype=np.int64)
-    points = np.vstack([mesh.points, mesh.points[ends].mean(axis=1)])
-
-    def middles(cells: IntArray, edges: IntArray) -> IntArray:
-        pairs = np.sort(cells[:, edges], axis=2)
-        return np.array([[lookup[int(a), int(b)] for a, b in cell] for cell in pairs], np.int64)
-
-    blocks = tuple(
-        Block(b.name, "tet10", np.hstack([b.cells, middles(b.cells, np.asarray(EDGES))])) if b.is_solid else b
-        for b in mesh.blocks
-    )
-    rim = np.array([[0, 1], [1, 2], [2, 0]])
+    points, cells, lookup = quadratic(mesh.points, solid)
+    parts = iter(np.split(cells, np.cumsum([len(block.cells) for block in mesh.solid_blocks])[:-1]))
+    blocks = tuple(Block(b.name, "tet10", next(parts)) if b.is_solid else b for b in mesh.blocks)
     soft = np.unique(solid)
-    surfaces = {name: _with_middles(each, middles, rim, soft) for name, each in mesh.surfaces.items()}
-    faces = [facets for each in surfaces.values() for kind, facets in each.facets.items() if kind == "tri6"]
-    outer = boundary_faces(solid)
-    boundary = np.concatenate([*faces, np.hstack([outer, middles(outer, rim)])])
+    surfaces = {name: _with_middles(each, lookup, soft) for name, each in mesh.surfaces.items()}
+    faces = [own for each in surfaces.values() for kind, own in each.facets.items() if kind == "tri6"]
+    boundary = np.concatenate([*faces, facets(boundary_faces(solid), lookup)["tri6"]])
     sets = {name: _completed(nodes, boundary) for name, nodes in mesh.node_sets.items()}
     return _with_records(replace(model, mesh=Mesh(points, blocks, sets, surfaces)))
 
 
-def _with_middles(surface: Surface, middles: object, rim: IntArray, soft: IntArray) -> Surface:
-    facets: dict[str, IntArray] = {}
+def _with_middles(surface: Surface, lookup: dict[tuple[int, int], int], soft: IntArray) -> Surface:
+    found: dict[str, IntArray] = {}
     for kind, each in surface.facets.items():
-        if kind == "tri3" and np.isin(each, soft).all():
-            facets["tri6"] = np.hstack([each, middles(each, rim)])  # type: ignore[operator]
-        else:
-            facets[kind] = each
-    return Surface(surface.name, facets)
+        in_tissue = kind == "tri3" and np.isin(each, soft).all()
+        found |= facets(each, lookup) if in_tissue else {kind: each}
+    return Surface(surface.name, found)
 
 
-def _completed(nodes: IntArray, facets: IntArray) -> IntArray:
+def _completed(nodes: IntArray, boundary: IntArray) -> IntArray:
     """The node set with the mid-side nodes of facets whose corners all belong to it."""
-    inside = facets[np.isin(facets[:, :3], nodes).all(axis=1)]
+    inside = boundary[np.isin(boundary[:, :3], nodes).all(axis=1)]
     return np.unique(np.concatenate([nodes, inside[:, 3:].ravel()]))
 
 
