@@ -12,6 +12,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from limbcli.errors.problems import Problem
+from limbcli.meshing.crop import within
 from limbcli.meshing.distance import Heights
 from limbcli.meshing.mending import Plane, enclosed, mend, principal_axis, skin_and_bones
 from limbcli.meshing.sites_on_skin import triple
@@ -124,7 +125,7 @@ def _in_holes(
     found = []
     for name, bone in bones.items():
         deep = above[name].deepest(_MIDDLE)
-        deep = deep[~np.any([np.zeros(len(deep), bool), *(e.height(deep) > 0 for e in ends)], axis=0)]
+        deep = deep[within(deep, ends)]
         out = float((above_skin.of(deep) > 0).mean()) if len(deep) else 0.0
         surface = float((above_skin.of(_some(bone.points)) > _OUT_MM).mean())
         if out > _HOLLOW and surface < _OUT_SHARE[1]:
@@ -144,18 +145,19 @@ def _outside(
     found = {}
     for name, bone in bones.items():
         points = _some(bone.points)
-        beyond = np.any([np.zeros(len(points), bool), *(each.height(points) > 0 for each in ends)], axis=0)
-        points = points if beyond.all() else points[~beyond]
+        kept = within(points, ends)
+        beyond = not kept.any()
+        points = points if beyond else points[kept]
         height = above_skin.of(points)
         share, furthest = float((height > _OUT_MM).mean()), float(height.max())
-        if beyond.all():
+        if beyond:
             what = f"{name} lies beyond the end of the skin, {height.min():.0f} mm from it at its nearest"
         elif share > _OUT_SHARE[0]:
             what = f"{share:.0%} of {name} lies outside the skin"
         else:
             continue
         what += f", by up to {furthest:.0f} mm at {triple(points[height.argmax()])} (LPS, mm)"
-        is_error = bool(beyond.all()) or share > _OUT_SHARE[1] or furthest > _OUT_FAR_MM
+        is_error = beyond or share > _OUT_SHARE[1] or furthest > _OUT_FAR_MM
         fix = IN_ONE_FRAME + (_OR_ACCEPT if is_error else "")
         found[name] = _problem(what, where, fix, error=is_error)
     return found

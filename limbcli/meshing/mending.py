@@ -281,8 +281,7 @@ def _is_end(skin: Triangles, rim: Array, normal: Array) -> bool:
 def _flat_ends(skin: Triangles, axis: Array) -> list[Plane]:
     """Planes just inside flat ends, as left by the first and last slice of a scan; axis: that of the limb."""
     planes: list[Plane] = []
-    area, centroids = skin.area_vectors, skin.centroids
-    size = np.linalg.norm(area, axis=1)
+    area, size, centroids = skin.area_vectors, skin.areas, skin.centroids
     unit = area / np.maximum(size, 1e-12)[:, None]
     for normal in _flat_directions(skin, axis):
         facing = unit @ normal > _CAP_COSINE
