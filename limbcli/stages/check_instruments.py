@@ -63,8 +63,7 @@ def _levels(kind: str, table: Any) -> Sequence[Any]:
 
     if kind == "load_cell":
         return holds_of(table)[1]
-    box = table["box_pixels" if kind == "b_mode" else "image_pixels"]
-    return images_of(table, box_pixels=box_of(box) if box else None)
+    return images_of(table, box_pixels=box_of(table["box_pixels" if kind == "b_mode" else "image_pixels"]))
 
 
 def stated_layer_noise(site: Mapping[str, Any]) -> LayerNoise:

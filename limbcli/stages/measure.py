@@ -128,7 +128,7 @@ def _of_known(known: Levels, instruments: Mapping[str, Any]) -> Columns:
 def _depth(table: Mapping[str, Any], writer: StageWriter, progress: Progress) -> dict[str, Sequence[float]]:
     from limbcli.measurement.instrument_pictures import draw_bone_lines
 
-    images = images_of(table, box_pixels=box_of(table["box_pixels"]) if table["box_pixels"] else None)
+    images = images_of(table, box_pixels=box_of(table["box_pixels"]))
     writer.warnings.extend(scale_warnings(images, table["mm_per_pixel"]))
     if table["box_pixels"] is None and images[0].is_whole:
         writer.warnings.append(

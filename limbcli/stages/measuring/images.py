@@ -159,7 +159,7 @@ def measured_speeds(
     """The columns of speeds; also writes the maps of all levels and a box plot."""
     from limbcli.measurement.instrument_pictures import draw_speeds
 
-    images = images_of(table, box_pixels=box_of(table["image_pixels"]) if table["image_pixels"] else None)
+    images = images_of(table, box_pixels=box_of(table["image_pixels"]))
     writer.warnings.extend(scale_warnings(images, table["mm_per_pixel"]))
     if table["image_pixels"] is None and images[0].is_whole:
         writer.warnings.append(
@@ -199,11 +199,10 @@ def _overlays(
     images: Sequence[UltrasoundImage], table: Mapping[str, Any], writer: StageWriter
 ) -> list[Overlay]:
     """Colour bar and box of every image: from case.toml, else detected (the bar once, the box in each)."""
-    if table["bar_pixels"]:
-        bar = box_of(table["bar_pixels"])
-    else:
+    bar = box_of(table["bar_pixels"])
+    if bar is None:
         bar = SCREENS[table["preset"]].bar_in(images[0]) if table["preset"] else find_bar(images[0])
-    stated = box_of(table["box_pixels"]) if table["box_pixels"] else None
+    stated = box_of(table["box_pixels"])
     boxes = [stated or find_box(each, bar) for each in images]
     for name, found in (("bar_pixels", bar), ("box_pixels", boxes[0])):
         if not table[name]:
@@ -267,5 +266,5 @@ def within_tissue(
     return maps
 
 
-def box_of(values: Sequence[float]) -> Box:
-    return int(values[0]), int(values[1]), int(values[2]), int(values[3])
+def box_of(values: Sequence[float] | None) -> Box | None:
+    return (int(values[0]), int(values[1]), int(values[2]), int(values[3])) if values else None
