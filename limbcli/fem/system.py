@@ -144,14 +144,16 @@ class System(RigidLoads, ElementLoops):
         self.at(0.0)
 
     def remember(self, state: State) -> None:
-        """Store a converged state as the reference for friction."""
-        for pair in self.pairs:
-            pair.remember(self.X + state.u)
+        """Store a converged state as the reference for friction, and for how deep a point can come."""
+        for pair, hints in zip(self.pairs, self._hints_by_pair(state), strict=True):
+            pair.remember(self.X + state.u, hints)
 
     def take_multipliers(self, before: System) -> None:
-        """Copy the multipliers of the augmented contacts from the system of the previous step."""
+        """Copy the multipliers of the augmented contacts, and the gaps at the last converged step, from the
+        system of the previous step."""
         for mine, theirs in zip(self.pairs, before.pairs, strict=True):
             mine.set_multipliers(theirs.multipliers())
+            mine.past, mine.deepest = theirs.past, theirs.deepest
 
     def _laws_differ(self, model: LimbModel) -> bool:
         return any(model.materials[d.material] is not self.model.materials[d.material] for d in model.domains)
@@ -273,7 +275,9 @@ class System(RigidLoads, ElementLoops):
                 turns = np.unique(np.concatenate([patch.facets.ravel() for patch in pair.patches]))
                 if dof >= 3:
                     nodal[r, turns] -= np.cross(pressed[turns], np.eye(3)[dof - 3] / self.arms[r])
-        return np.stack([self.collect(each) for each in nodal]) if len(nodal) else np.zeros((0, self.n_tissue))
+        return (
+            np.stack([self.collect(each) for each in nodal]) if len(nodal) else np.zeros((0, self.n_tissue))
+        )
 
     def _ways(self, r: int, x: Array, state: State) -> Array:
         """Ways (..., 3) of points x of a body per unit of its rigid unknown r."""
