@@ -256,34 +256,30 @@ class System(RigidLoads, ElementLoops):
         return {b: np.unique(np.concatenate(each)) for b, each in sorted(facets.items())}
 
     def contact_rows(self, contact: ContactState) -> Array:
-        """The rigid unknowns' rows of the contact tangent (n_rigid, n_tissue), with moments of the skin's forces
-        taken where the skin is (friction acts on it and on the wall at points a penetration apart)."""
-        x = self.X + contact.state.u
-        nodal = np.zeros((len(self.rigid), *x.shape))
-        for pair, found in zip(self.pairs, contact.points, strict=True):
-            mine = [k for k, (b, _) in enumerate(self.rigid) if b == pair.body]
-            pressed = np.zeros_like(x)
-            pair.force(found if mine else (), pressed)
-            for k, patch in enumerate(pair.patches if mine else ()):
-                blocks, touched = pair.blocks(k, found[k], x, full=contact.full_tangent)
-                nodes, blocks = patch.facets[touched], blocks[touched]
-                for r in mine:
-                    ways = self._ways(r, x[nodes], contact.state)
-                    np.subtract.at(nodal[r], nodes, np.einsum("fai,faibj->fbj", ways, blocks))
-            for r in mine if contact.full_tangent else ():
-                _, dof = self.rigid[r]
-                turns = np.unique(np.concatenate([patch.facets.ravel() for patch in pair.patches]))
-                if dof >= 3:
-                    nodal[r, turns] -= np.cross(pressed[turns], np.eye(3)[dof - 3] / self.arms[r])
-        return (
-            np.stack([self.collect(each) for each in nodal]) if len(nodal) else np.zeros((0, self.n_tissue))
-        )
+        """The rigid unknowns' rows of the contact tangent (n_rigid, n_tissue).
 
-    def _ways(self, r: int, x: Array, state: State) -> Array:
-        """Ways (..., 3) of points x of a body per unit of its rigid unknown r."""
-        b, dof = self.rigid[r]
-        along = np.eye(3)[dof % 3] / self.arms[r]
-        return np.broadcast_to(along, x.shape) if dof < 3 else np.cross(along, x - self.center(b, state))
+        With friction the moments are approximate: the force on the wall is taken to act where the skin is, a
+        penetration beside the wall.
+        """
+        x = self.X + contact.state.u
+        rows = np.zeros((len(self.rigid), self.n_tissue))
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            for r, (b, dof) in enumerate(self.rigid):
+                if b != pair.body:
+                    continue
+                nodal, along = np.zeros_like(x), np.eye(3)[dof % 3] / self.arms[r]
+                arm = x - self.center(b, contact.state)
+                ways = np.cross(along, arm) if dof >= 3 else np.broadcast_to(along, x.shape)
+                for k, patch in enumerate(pair.patches):
+                    blocks, touched = pair.blocks(k, found[k], x, full=contact.full_tangent)
+                    nodes = patch.facets[touched]
+                    np.subtract.at(nodal, nodes, np.einsum("fai,faibj->fbj", ways[nodes], blocks[touched]))
+                if contact.full_tangent and dof >= 3:  # the arms change with the skin
+                    pressed = np.zeros_like(x)
+                    pair.force(found, pressed)
+                    nodal += np.cross(along, pressed)  # that of the body's own nodes is not collected
+                rows[r] += self.collect(nodal)
+        return rows
 
     def contact_residual(self, contact: ContactState) -> Array:
         """The contact part of the residual."""

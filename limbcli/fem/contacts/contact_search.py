@@ -27,8 +27,8 @@ from limbcli.fem.contacts.facet_tree import facets_on_line
 from limbcli.numbers.compiled import njit
 
 _ON_EDGE = 1e-9  # natural coordinates beyond an edge that are round-off
-# A gap may grow by this multiple of what the point has moved since the last converged step: its normal may meet
-# the surface at 60 degrees. More is a facet on the far side of a fold, which the normal meets through the tissue.
+# A gap may grow by this multiple of what the point has moved since the last converged step: its normal may
+# meet the surface at 60 degrees. More is a facet that the normal meets through a fold of the tissue.
 _DEEPER = 2.0
 _NATURAL, _ALONG = 7, 9  # columns of a hit after g, m, q: natural coordinates, and their gradients
 
@@ -242,9 +242,9 @@ def search(
     facet. Otherwise the nearest facing facet that the line hits within the search radius is taken. A line
     that misses a facet by less than the tolerance (natural coordinates) hits it, too, but only where it hits
     no facet beside that one: FEBio keeps the facet there, whose plane is not the surface where this bends,
-    and the gap jumps as the point leaves it. Nor is a hit a contact that is deeper than the point can have come
-    since the last converged step: where skin bulges over a brim, the normal of its far side meets the wall
-    through the bulge, and a traction as large as that gap would come and go from iteration to iteration.
+    and the gap jumps as the point leaves it. Nor is a hit a contact that is deeper than the point can have
+    come since the last converged step: where skin bulges over a brim, the normal of its far side meets the
+    wall through the bulge, and a traction as large as that gap would come and go in the iteration.
 
     rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges

@@ -40,8 +40,8 @@ class Pair:
     tree : of `facets2`
     body : number of the rigid body that the secondary side is part of; None: it is soft
     past (n_points, 3) : positions of all nodes at the last converged step
-    deepest : of each patch, the gaps (n_facets, n_gauss) then, 0 where the point did not touch; infinite before
-        the first step
+    deepest : of each patch, the gaps (n_facets, n_gauss) then, 0 where the point did not touch; infinite
+        before the first step
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     looseness : value of the load curve of the gap's tolerance
     """

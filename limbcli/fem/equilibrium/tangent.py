@@ -3,7 +3,8 @@
 The operator is the elastic tangent of the last assembly plus the *exact* contact tangent, which is not
 symmetric. The preconditioner is a factor of the symmetric part, possibly from an earlier state. GMRES
 corrects the difference in a few iterations, so that neither an unsymmetric nor a fresh factorisation is
-needed. The motions of the rigid unknowns, with the tissue that follows them, are corrected exactly (deflation).
+needed. The motions of the rigid unknowns, with the tissue that follows them, are corrected exactly, by
+deflation (Nicolaides 1987, SIAM J. Numer. Anal. 24, 355-365).
 """
 
 from __future__ import annotations
