@@ -57,7 +57,7 @@ def extrapolate(system: System, states: Sequence[State], time: float) -> State:
 def _combined(
     states: Sequence[tuple[BodyState, ...]], weights: Sequence[float] | Array
 ) -> tuple[BodyState, ...]:
-    """Weighted sums of the bodies' shifts and rotation vectors: skin that a free body presses moves with it."""
+    """Weighted sums of shifts and rotation vectors: the skin that a free body presses moves with it."""
     return tuple(
         BodyState(
             sum((w * at.shift for w, at in zip(weights, each, strict=True)), np.zeros(3)),

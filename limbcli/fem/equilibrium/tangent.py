@@ -150,8 +150,8 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
 class Inverse:
     """Approximate inverse of a tangent, used as preconditioner.
 
-    A factor of the tissue's symmetric part with the exact contact tangent in its root front, and the Schur
-    complement of the border of rigid unknowns. Where the skin bends around the edge of the probe, its
+    A factor of the tissue's symmetric part with the exact contact tangent in its root front, and the exact
+    tangent for the motions of the rigid unknowns, with which the tissue moves as the factor says. Where the skin bends around the edge of the probe, its
     normals differ from the probe's and the contact tangent is far from symmetric: with the symmetric part
     alone GMRES takes ten times the iterations. That the shear of a slip follows its pressure is not in the
     factor: with its symmetric part the matrix is indefinite, with half of that term as a negative stiffness
@@ -195,7 +195,10 @@ class Inverse:
             self._take(self._contact(contact), contact)
             self._set_border(contact)
         elif contact is not self.followed:
-            self._set_motions(contact)
+            products = self._products(contact)
+            schur = self.left.T @ products
+            if np.linalg.matrix_rank(schur) == len(schur):  # else too few points are left to hold a body
+                self.products, self.schur, self.followed = products, schur, contact
 
     def _take(self, matrix: sparse.csr_array, contact: ContactState) -> None:
         """Update the root front with a contact tangent."""
@@ -220,15 +223,10 @@ class Inverse:
             for k in range(n_rigid):
                 self.right[:n, k] = -self.linear.solve(np.ascontiguousarray(border[:n, k]))
                 self.left[:n, k] = -self.linear.solve(rows[k])
-        self._set_motions(contact)
+        self.products, self.followed = self._products(contact), contact
+        self.schur = self.left.T @ self.products
         if n_rigid:
             check_rigid_modes(system, self.schur, border[n:])
-
-    def _set_motions(self, contact: ContactState) -> None:
-        """The exact tangent's part in the rigid unknowns' motions."""
-        self.followed = contact
-        self.products = self._products(contact)
-        self.schur = self.left.T @ self.products
 
     def _products(self, contact: ContactState) -> Array:
         """The tangent times the rigid unknowns' motions (n_unknowns, n_rigid)."""
