@@ -144,14 +144,16 @@ class System(RigidLoads, ElementLoops):
         self.at(0.0)
 
     def remember(self, state: State) -> None:
-        """Store a converged state as the reference for friction."""
-        for pair in self.pairs:
-            pair.remember(self.X + state.u)
+        """Store a converged state as the reference for friction, and for how deep a point can come."""
+        for pair, hints in zip(self.pairs, self._hints_by_pair(state), strict=True):
+            pair.remember(self.X + state.u, hints)
 
     def take_multipliers(self, before: System) -> None:
-        """Copy the multipliers of the augmented contacts from the system of the previous step."""
+        """Copy the multipliers of the augmented contacts, and the gaps at the last converged step, from the
+        system of the previous step."""
         for mine, theirs in zip(self.pairs, before.pairs, strict=True):
             mine.set_multipliers(theirs.multipliers())
+            mine.past, mine.deepest = theirs.past, theirs.deepest
 
     def _laws_differ(self, model: LimbModel) -> bool:
         return any(model.materials[d.material] is not self.model.materials[d.material] for d in model.domains)
@@ -252,6 +254,32 @@ class System(RigidLoads, ElementLoops):
             if pair.body is not None:
                 facets.setdefault(pair.body, []).append(pair.facets2[pair.facets2 >= 0])
         return {b: np.unique(np.concatenate(each)) for b, each in sorted(facets.items())}
+
+    def contact_rows(self, contact: ContactState) -> Array:
+        """The rigid unknowns' rows of the contact tangent (n_rigid, n_tissue).
+
+        With friction the moments are approximate: the force on the wall is taken to act where the skin is, a
+        penetration beside the wall.
+        """
+        x = self.X + contact.state.u
+        rows = np.zeros((len(self.rigid), self.n_tissue))
+        for pair, found in zip(self.pairs, contact.points, strict=True):
+            for r, (b, dof) in enumerate(self.rigid):
+                if b != pair.body:
+                    continue
+                nodal, along = np.zeros_like(x), np.eye(3)[dof % 3] / self.arms[r]
+                arm = x - self.center(b, contact.state)
+                ways = np.cross(along, arm) if dof >= 3 else np.broadcast_to(along, x.shape)
+                for k, patch in enumerate(pair.patches):
+                    blocks, touched = pair.blocks(k, found[k], x, full=contact.full_tangent)
+                    nodes = patch.facets[touched]
+                    np.subtract.at(nodal, nodes, np.einsum("fai,faibj->fbj", ways[nodes], blocks[touched]))
+                if contact.full_tangent and dof >= 3:  # the arms change with the skin
+                    pressed = np.zeros_like(x)
+                    pair.force(found, pressed)
+                    nodal += np.cross(along, pressed)  # that of the body's own nodes is not collected
+                rows[r] += self.collect(nodal)
+        return rows
 
     def contact_residual(self, contact: ContactState) -> Array:
         """The contact part of the residual."""

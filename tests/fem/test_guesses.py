@@ -55,3 +55,17 @@ def test_what_differs_from_an_earlier_solve_by_a_line_is_met_exactly(rng: np.ran
     np.testing.assert_allclose(beside(system, theirs[2], 0.6, pairs).u, ours[2].u, atol=1e-14)
     carried = beside(system, theirs[2], 0.6, pairs[1:])
     np.testing.assert_allclose(carried.u, ours[2].u - 0.2 * apart, atol=1e-14)
+
+
+def test_a_body_that_turns_freely_is_guessed_with_the_skin_that_it_presses(rng: np.random.Generator) -> None:
+    model = punch("tet4")
+    system = System(replace(model, drives=tuple(d for d in model.drives if d.dof in "xyz")), threads=1)
+    pace = np.array([0.1, -0.05, 0.02])
+    states = [system.prescribed(system.rest(), time) for time in (0.2, 0.4, 0.5)]
+    states = [replace(each, bodies=(replace(each.bodies[0], rotation=each.time * pace),)) for each in states]
+    guess = extrapolate(system, states[:2], 0.5)
+    np.testing.assert_allclose(guess.bodies[0].rotation, 0.5 * pace, atol=1e-14)
+    still = [replace(each, bodies=(replace(each.bodies[0], rotation=0.0 * pace),)) for each in states]
+    pair = [(states[1], still[1])]
+    carried = beside(system, still[2], 0.5, pair)
+    np.testing.assert_allclose(carried.bodies[0].rotation, 0.4 * pace, atol=1e-14)

@@ -14,8 +14,12 @@ from limbcli.feb.read import read_feb
 from limbcli.feb.write import write_feb
 from limbcli.fem.analysis import Analysis, Snapshot
 from limbcli.fem.contacts.contact_points import NORMAL, TRACTION
-from limbcli.fem.equilibrium.settings import Settings
+from limbcli.fem.contacts.contact_state import ContactState
+from limbcli.fem.equilibrium.linearised import Linearised
+from limbcli.fem.equilibrium.settings import Counts, Settings
 from limbcli.fem.equilibrium.tangent import assemble
+from limbcli.fem.linear_solvers.krylov import gmres
+from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.materials import ogden_type
 from limbcli.model import Block, Curve, LimbModel, Mesh, Step, Surface
@@ -112,6 +116,51 @@ def test_the_tangent_of_a_concave_rigid_side_agrees_with_differences(
     h = 1e-7
     up, down = (system.forces(system.moved(state, s * h * direction)).residual for s in (1, -1))
     np.testing.assert_allclose((up - down) / (2 * h), exact, atol=1e-6 * abs(exact).max())
+
+
+def turning(friction: float, rng: np.random.Generator) -> tuple[System, ContactState, State]:
+    """The tight tube, whose socket is free in all motions and has slid a little."""
+    model = replace(tube(1.0, n=(2, 24, 4), friction=friction), drives=())
+    system = System(model, threads=1)
+    start = system.prescribed(system.rest(), 0.9)
+    system.at(0.9)
+    system.remember(system.search(start).state)
+    step = 2e-2 * rng.standard_normal(system.n_unknowns)
+    step[system.n_tissue :] += [0.2, 0.1, 1.0, 0.1, 0.2, 0.1]
+    state = system.moved(start, step)
+    return system, system.search(state), state
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_the_rows_of_a_socket_that_turns_are_those_of_the_tangent(
+    friction: float, rng: np.random.Generator
+) -> None:
+    """With friction the moments are taken at the skin, the overlap of 1 mm beside the wall."""
+    system, contact, _ = turning(friction, rng)
+    step = np.concatenate([rng.standard_normal(system.n_tissue), np.zeros(6)])
+    exact = system.contact_change(contact, step)[system.n_tissue :]
+    rows = system.contact_rows(contact) @ step[: system.n_tissue]
+    np.testing.assert_allclose(rows[:3], exact[:3], rtol=1e-9)
+    np.testing.assert_allclose(rows[3:], exact[3:], atol=(0.05 if friction else 1e-9) * abs(exact[3:]).max())
+
+
+def test_a_socket_that_turns_freely_takes_few_more_krylov_iterations_than_a_held_one(
+    rng: np.random.Generator,
+) -> None:
+    system, contact, state = turning(0.3, rng)
+    linearised = Linearised(system, Settings(threads=1), Counts())
+    forces = system.forces(state)
+    linearised.refresh(state, forces)
+    rhs, n = rng.standard_normal(system.n_unknowns), system.n_tissue
+    linearised.solve(contact, rhs, 1e-6)
+    tangent = linearised.tangent
+    assert tangent is not None
+
+    def held(v: np.ndarray) -> np.ndarray:
+        return tangent.times(contact, np.concatenate([v, np.zeros(6)]))[:n]
+
+    _, n_held, _ = gmres(held, linearised.linear.solve, rhs[:n], tolerance=1e-6)
+    assert linearised.counts.krylov <= 1.5 * n_held
 
 
 def test_a_socket_around_a_whole_limb_is_not_eliminated_last() -> None:

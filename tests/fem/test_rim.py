@@ -13,6 +13,8 @@ from limbcli.fem.contacts.contact_points import GAP, TRACTION, WEIGHT
 from limbcli.fem.contacts.pairs import rim_widths
 from limbcli.fem.equilibrium.settings import Settings
 from limbcli.fem.equilibrium.tangent import assemble
+from limbcli.fem.motion.rigid import BodyState
+from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import LimbModel
 
@@ -96,3 +98,39 @@ def test_skin_is_pressed_up_to_the_rim_and_beyond() -> None:
     assert [round(s.state.time, 9) for s in snapshots] == [0.25, 0.5, 0.75, 1.0]
     forces = [-s.forces.bodies[0, 2] for s in snapshots]
     assert (np.diff(forces) > 0).all()
+
+
+def under(system: System, depth: float, shift: float) -> State:
+    """The plate at a depth in the block, which is shifted sideways under it."""
+    at_rest = system.rest()
+    plate = BodyState(np.array([0.0, 0.0, -depth]), np.zeros(3))
+    u = at_rest.u + np.where(system.coupled[:, None], [shift, 0.0, 0.0], 0.0)
+    return system.followed(replace(at_rest, u=u, bodies=(plate,)))
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_a_point_touches_no_deeper_than_it_can_have_come(friction: float) -> None:
+    """As where skin bulges over a brim: points that pass the rim sideways meet a face far below them."""
+
+    def made() -> System:
+        _, model = pressed("hex8")
+        rough = [replace(each, friction=friction, symmetric=not friction) for each in model.contacts]
+        return System(replace(model, contacts=tuple(rough)), threads=1)
+
+    system, fresh = made(), made()
+    before = system.search(under(system, 3.0, 0.0)).touching
+    assert before.any(), "an overlap at the beginning is contact"
+    system.remember(under(system, 3.0, 0.0))
+    passed = {shift: fresh.search(under(fresh, 3.0, shift)).touching & ~before for shift in (1.0, 2.0)}
+    assert passed[1.0].any()
+    assert not (system.search(under(system, 3.0, 1.0)).touching & ~before).any()
+    np.testing.assert_array_equal(system.search(under(system, 3.0, 2.0)).touching & ~before, passed[2.0])
+    system.remember(under(system, 3.0, 1.0))
+    assert not (system.search(under(system, 3.0, 1.5)).touching & ~before).any(), "nor in the step after"
+
+
+def test_a_plate_that_comes_from_above_touches_at_any_depth() -> None:
+    system, _ = pressed("hex8")
+    fresh = system.search(under(system, 3.0, 0.0)).touching
+    system.remember(under(system, -0.1, 0.0))
+    np.testing.assert_array_equal(system.search(under(system, 3.0, 0.0)).touching, fresh)

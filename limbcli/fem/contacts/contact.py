@@ -40,7 +40,7 @@ def make_pairs(model: LimbModel, groups: Sequence[Group], bodies: Sequence[Body]
         if contact.friction or body is None:  # between soft surfaces also with a coefficient of 0
             pairs.append(FrictionPair(contact, facets2, patches, rim, tree, body, points))
         else:
-            pairs.append(Pair(contact, facets2, patches, rim, tree, body))
+            pairs.append(Pair(contact, facets2, patches, rim, tree, body, points))
     return pairs
 
 

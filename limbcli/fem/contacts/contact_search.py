@@ -27,6 +27,9 @@ from limbcli.fem.contacts.facet_tree import facets_on_line
 from limbcli.numbers.compiled import njit
 
 _ON_EDGE = 1e-9  # natural coordinates beyond an edge that are round-off
+# A gap may grow by this multiple of what the point has moved since the last converged step: its normal may
+# meet the surface at 60 degrees. More is a facet that the normal meets through a fold of the tissue.
+_DEEPER = 2.0
 _NATURAL, _ALONG = 7, 9  # columns of a hit after g, m, q: natural coordinates, and their gradients
 
 
@@ -199,17 +202,53 @@ def _fade(out, quad, rim, row):
 
 
 @njit
-def search(start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance, eps, multiplier, state):
+def _way(past, nodes, N, nodes2, r, hit):
+    """How far the point has moved against the secondary side's material point opposite to it, at a hit."""
+    N2, dN2 = np.empty(MOST_NODES), np.empty((MOST_NODES, 2))
+    n2 = facet_shape(nodes2, hit[_NATURAL], hit[_NATURAL + 1], N2, dN2)
+    total = 0.0
+    for i in range(3):
+        moved = r[i] - hit[4 + i]
+        for a in range(N.shape[0]):
+            moved -= N[a] * past[nodes[a], i]
+        for a in range(n2):
+            moved += N2[a] * past[nodes2[a], i]
+        total += moved**2
+    return np.sqrt(total)
+
+
+@njit
+def search(
+    start,
+    stop,
+    x,
+    facets,
+    N,
+    dN,
+    facets2,
+    rim,
+    tree,
+    radius,
+    tolerance,
+    eps,
+    multiplier,
+    past,
+    deepest,
+    state,
+):
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
     As in FEBio, a point keeps the secondary facet of the last search as long as its normal line hits that
     facet. Otherwise the nearest facing facet that the line hits within the search radius is taken. A line
     that misses a facet by less than the tolerance (natural coordinates) hits it, too, but only where it hits
     no facet beside that one: FEBio keeps the facet there, whose plane is not the surface where this bends,
-    and the gap jumps as the point leaves it.
+    and the gap jumps as the point leaves it. Nor is a hit a contact that is deeper than the point can have
+    come since the last converged step: where skin bulges over a brim, the normal of its far side meets the
+    wall through the bulge, and a traction as large as that gap would come and go in the iteration.
 
     rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges
+    past, deepest : see `Pair`
     tree : spheres around the secondary facets and around the nodes of their tree, its order and its starts
         (see `FacetTree`)
     """
@@ -256,6 +295,10 @@ def search(start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance,
             traction = weight * (multiplier[f, k] + eps[f] * gap)
             if gap > radius or traction <= 0.0:
                 continue
+            if gap > _DEEPER * deepest[f, k]:
+                way = _way(past, facets[f], N[k], facets2[nearest], r, best)
+                if gap > _DEEPER * (deepest[f, k] + way):
+                    continue
             count += 1
             row[GAP] = gap
             for i in range(3):

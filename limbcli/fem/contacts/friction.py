@@ -24,7 +24,6 @@ from limbcli.model import Array, IntArray
 class FrictionPair(Pair):
     """A contact with friction; stores the last converged step.
 
-    past (n_points, 3) : positions of all nodes at the last converged step
     before : per patch, the state of its points at the last converged step (see `friction_kernels`)
     pulls : per patch, the vector multipliers (n_facets, n_gauss, 3) of augmented contact
     """
@@ -32,11 +31,11 @@ class FrictionPair(Pair):
     n_columns: ClassVar[int] = friction_kernels.N_STATE
     kernels: ClassVar[ModuleType] = friction_kernels
 
-    past: Array
     before: list[Array] = field(default_factory=list)
     pulls: list[Array] = field(default_factory=list)
 
     def __post_init__(self) -> None:
+        super().__post_init__()
         shapes = [p.multiplier.shape for p in self.patches]
         self.before = [np.zeros((*shape, friction_kernels.N_BEFORE)) for shape in shapes]
         self.pulls = [np.zeros((*shape, 3)) for shape in shapes]
@@ -45,15 +44,18 @@ class FrictionPair(Pair):
     def mu(self) -> float:
         return self.contact.friction
 
-    def remember(self, x: Array) -> None:
-        """Store a converged step as the reference for the next one."""
+    def remember(self, x: Array, hints: Sequence[Array] = ()) -> None:
+        super().remember(x, hints)
+        self._place(x)
+
+    def _place(self, x: Array) -> None:
+        """Take positions x (n_points, 3) as those that slips are measured from."""
         for p, before in zip(self.patches, self.before, strict=True):
             friction_kernels.remember(x, p.facets, p.N, p.dN, before)
-        self.past = x
 
     def forget(self, x: Array) -> None:
         super().forget(x)
-        self.remember(x)
+        self._place(x)
         for pull in self.pulls:
             pull[:] = 0.0
 

@@ -39,6 +39,9 @@ class Pair:
     rim (n_facets2, 4) : half-widths of the fading zones at the free edges of that surface (`rim_widths`)
     tree : of `facets2`
     body : number of the rigid body that the secondary side is part of; None: it is soft
+    past (n_points, 3) : positions of all nodes at the last converged step
+    deepest : of each patch, the gaps (n_facets, n_gauss) then, 0 where the point did not touch; infinite
+        before the first step
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     looseness : value of the load curve of the gap's tolerance
     """
@@ -52,10 +55,15 @@ class Pair:
     rim: Array
     tree: FacetTree
     body: int | None
+    past: Array
+    deepest: list[Array] = field(init=False)
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
     looseness: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
+
+    def __post_init__(self) -> None:
+        self.deepest = [np.full(p.multiplier.shape, np.inf) for p in self.patches]
 
     def search(
         self, x: Array, hints: Sequence[Array] = (), earlier: Sequence[Array] = ()
@@ -67,19 +75,25 @@ class Pair:
 
         Returns the state of the points of each patch, and how many touch.
         """
+        found = self._met(x, hints, [(p.eps, p.multiplier) for p in self.patches])
+        return tuple(found), sum(int((points[..., TRACTION] > 0).sum()) for points in found)
+
+    def _met(self, x: Array, hints: Sequence[Array], laws: Sequence[tuple[Array, Array]]) -> list[Array]:
+        """State of the points of each patch, with its penalty and multiplier from `laws`."""
         tree = (*self.tree.spheres(x), self.tree.order, self.tree.starts)
-        found, n_touching = [], 0
+        found = []
         for k, p in enumerate(self.patches):
             points = np.zeros((len(p.facets), len(p.weights), self.n_columns))
             points[..., FACET] = hints[k] if hints else -1
-            task = partial(self._search, p, points, x, tree)
-            n_touching += sum(self.threads.run(task, len(p.facets)))
+            task = partial(self._search, k, laws[k], points, x, tree)
+            self.threads.run(task, len(p.facets))
             found.append(points)
-        return tuple(found), n_touching
+        return found
 
     def _search(
         self,
-        p: Patch,
+        k: int,
+        law: tuple[Array, Array],
         points: Array,
         x: Array,
         tree: tuple[Array, Array, IntArray, IntArray],
@@ -87,10 +101,10 @@ class Pair:
         begin: int,
         end: int,
     ) -> int:
-        c = self.contact
+        c, p = self.contact, self.patches[k]
         found = search(
             begin, end, x, p.facets, p.N, p.dN, self.facets2, self.rim, tree,
-            c.search_radius, c.search_tolerance, p.eps, p.multiplier, points,
+            c.search_radius, c.search_tolerance, *law, self.past, self.deepest[k], points,
         )  # fmt: skip
         return int(found)
 
@@ -133,8 +147,14 @@ class Pair:
         """Further arguments of the kernels for patch k."""
         return ()
 
-    def remember(self, x: Array) -> None:
-        """Store a converged step; nothing to store without friction."""
+    def remember(self, x: Array, hints: Sequence[Array] = ()) -> None:
+        """Store a converged step as the reference for the next one; hints : as in `search`."""
+        # whatever the penalty is, which may grow from 0
+        unit = [(np.ones_like(p.eps), np.zeros_like(p.multiplier)) for p in self.patches]
+        self.deepest = [
+            np.where(points[..., TRACTION] > 0, points[..., GAP], 0.0) for points in self._met(x, hints, unit)
+        ]
+        self.past = x
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
         self.full_eps = [penalties(self.contact, p, groups, curve, dt) for p in self.patches]
@@ -148,8 +168,10 @@ class Pair:
 
     def forget(self, x: Array) -> None:
         """Reset to the unloaded state at positions x (n_points, 3): no contact, multipliers zero."""
-        for p in self.patches:
+        for p, deepest in zip(self.patches, self.deepest, strict=True):
             p.multiplier[:] = 0.0
+            deepest[:] = np.inf
+        self.past = x
 
     def multipliers(self) -> list[tuple[Array, ...]]:
         """Copies of the multipliers of each patch, for `set_multipliers`."""

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from limbcli.fem.motion.rigid import BodyState
 from limbcli.fem.motion.state import State
 from limbcli.fem.system import System
 from limbcli.model import Array
@@ -22,12 +23,13 @@ def beside(system: System, known: State, time: float, pairs: Sequence[tuple[Stat
     earlier one. It is smaller and smoother than the states themselves, whose contact grows by leaps.
     """
     *along, aim = _coordinate(system, [ours for ours, _ in pairs], time)
-    u, volumes = known.u, list(_ratios(system, known))
+    u, bodies, volumes = known.u, known.bodies, list(_ratios(system, known))
     for weight, (ours, theirs) in zip(lagrange(np.array(along), aim), pairs, strict=True):
         u = u + weight * (ours.u - theirs.u)
+        bodies = _combined([bodies, ours.bodies, theirs.bodies], [1.0, weight, -weight])
         apart = zip(_ratios(system, ours), _ratios(system, theirs), strict=True)
         volumes = [each + weight * (a - b) for each, (a, b) in zip(volumes, apart, strict=True)]
-    return system.prescribed(replace(known, u=u, volumes=tuple(volumes)), time)
+    return system.prescribed(replace(known, u=u, bodies=bodies, volumes=tuple(volumes)), time)
 
 
 def _ratios(system: System, state: State) -> tuple[Array, ...]:
@@ -43,15 +45,26 @@ def extrapolate(system: System, states: Sequence[State], time: float) -> State:
     def combined(parts: list[Any]) -> Any:
         return sum(w * each for w, each in zip(weights, parts, strict=True))
 
-    bodies = [
-        replace(at, shift=combined([s.bodies[b].shift for s in states])) for b, at in enumerate(last.bodies)
-    ]
-    moved = State(last.time, combined([s.u for s in states]), tuple(bodies), last.hints)
+    bodies = _combined([s.bodies for s in states], weights)
+    moved = State(last.time, combined([s.u for s in states]), bodies, last.hints)
     guess = system.prescribed(moved, time)
     still = np.zeros_like(last.u)
     ratios = [system.linear_volumes(s, still) for s in states]
     volumes = tuple(combined(list(each)) for each in zip(*ratios, strict=True))
     return replace(guess, volumes=volumes)
+
+
+def _combined(
+    states: Sequence[tuple[BodyState, ...]], weights: Sequence[float] | Array
+) -> tuple[BodyState, ...]:
+    """Weighted sums of shifts and rotation vectors: the skin that a free body presses moves with it."""
+    return tuple(
+        BodyState(
+            sum((w * at.shift for w, at in zip(weights, each, strict=True)), np.zeros(3)),
+            sum((w * at.rotation for w, at in zip(weights, each, strict=True)), np.zeros(3)),
+        )
+        for each in zip(*states, strict=True)
+    )
 
 
 def _coordinate(system: System, states: Sequence[State], time: float) -> list[float]:

@@ -28,7 +28,6 @@ from limbcli.model import Array
 
 # Bounds on the Krylov iterations per solve: the closer to incompressible, the more even a fresh factor needs.
 _LEAST_KRYLOV, _MAX_KRYLOV = 30, 40
-_TURNING_KRYLOV = 90  # both where bodies turn freely: their rows in the preconditioner leave out friction
 _OLD_KRYLOV = 1.5  # limit of Krylov iterations with an older factor, as a multiple of a factorisation's cost
 _LARGE = 6_000  # number of equations above which a single-precision factor is faster overall
 _FRESH = 2.0  # Krylov iterations per decade of residual reduction with a fresh factor
@@ -87,12 +86,9 @@ class Linearised:
     @property
     def patience(self) -> int:
         """Maximum number of Krylov iterations per solve; beyond it a new factor is cheaper."""
-        least, most = _LEAST_KRYLOV, _MAX_KRYLOV
-        if any(dof > 2 for _, dof in self.system.rigid):
-            least = most = _TURNING_KRYLOV
         if self._is_old:
-            return int(np.clip(_OLD_KRYLOV * self.per_factor, least // 2, most))
-        return int(np.clip(self.per_factor, least, most))
+            return int(np.clip(_OLD_KRYLOV * self.per_factor, _LEAST_KRYLOV // 2, _MAX_KRYLOV))
+        return int(np.clip(self.per_factor, _LEAST_KRYLOV, _MAX_KRYLOV))
 
     @property
     def _is_old(self) -> bool:

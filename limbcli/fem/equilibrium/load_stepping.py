@@ -33,6 +33,7 @@ _WITHOUT_GUESS = 0.5
 _FIRST = 4.0  # first increment as a multiple of the model's step size, for a path-independent response
 _MOST_RELAXATIONS = 3  # number of failed relaxations per load step after which none is attempted
 _FAR_OUT = 3.0  # relative residual of an initial guess above which an increment is shortened without a try
+_FAR_FREE = 0.1  # the same above which the tangent predictor is taken where bodies move freely
 _FAR_OFF = 0.5  # the same for a guess from an earlier solve
 _FAR_OFF_ROUGH = 10.0  # the same for a guess from another mesh
 _SHARES = (1.0, 0.5, 0.25, 0.125)  # of an augmentation, tried in turn until there is an equilibrium
@@ -260,7 +261,7 @@ class LoadStepping:
             guesses = [extrapolate(system, reached.states[-n:], time) for n in range(2, most + 1)]
         limit = _FAR_OFF_ROUGH if rough else _FAR_OFF if known is not None and not pairs else _FAR_OUT
         error, guess, forces = self._best(guesses, time)
-        if guess is None or (known is None and error > limit):
+        if guess is None or (known is None and error > (_FAR_FREE if system.rigid else limit)):
             error, guess, forces = self._best([self._newton.predict(reached.last, time)], time)
         if guess is None or (error > limit and self._incremental and not patient and len(reached.states) > 1):
             assert forces is not None

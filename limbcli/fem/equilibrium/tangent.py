@@ -3,7 +3,8 @@
 The operator is the elastic tangent of the last assembly plus the *exact* contact tangent, which is not
 symmetric. The preconditioner is a factor of the symmetric part, possibly from an earlier state. GMRES
 corrects the difference in a few iterations, so that neither an unsymmetric nor a fresh factorisation is
-needed. Rigid unknowns form a border of dense columns, eliminated by their Schur complement.
+needed. The motions of the rigid unknowns, with the tissue that follows them, are corrected exactly, by
+deflation (Nicolaides 1987, SIAM J. Numer. Anal. 24, 355-365).
 """
 
 from __future__ import annotations
@@ -149,8 +150,8 @@ def _border(system: System, state: State, nodal: Array) -> tuple[Array, Array]:
 class Inverse:
     """Approximate inverse of a tangent, used as preconditioner.
 
-    A factor of the tissue's symmetric part with the exact contact tangent in its root front, and the Schur
-    complement of the border of rigid unknowns. Where the skin bends around the edge of the probe, its
+    A factor of the tissue's symmetric part with the exact contact tangent in its root front, and the exact
+    tangent for the motions of the rigid unknowns, with which the tissue moves as the factor says. Where the skin bends around the edge of the probe, its
     normals differ from the probe's and the contact tangent is far from symmetric: with the symmetric part
     alone GMRES takes ten times the iterations. That the shear of a slip follows its pressure is not in the
     factor: with its symmetric part the matrix is indefinite, with half of that term as a negative stiffness
@@ -178,21 +179,26 @@ class Inverse:
             inside = self._contact(contact, couples=False)
             self.inside = 0.5 * (inside + inside.T)  # contact part contained in the factored matrix
             self._take(self._contact(contact), contact)
+        self.taken = contact
         self._set_border(contact)
 
     def follow(self, contact: ContactState) -> None:
-        """Update the root front with the contact tangent, if it changed enough.
+        """Update the root front and the rigid unknowns with the contact tangent, if it changed enough.
 
-        If all contact is lost during the iteration, the factor is not updated.
+        If all contact is lost during the iteration, nothing is updated.
         """
-        if not self.n_root:
+        if not contact.touching.any():
             return
-        touching = contact.touching
+        touching, full = contact.touching, contact.full_tangent
         changed = int((touching != self.taken.touching).sum())
-        full = contact.full_tangent
-        if touching.any() and (changed > _FEW * touching.sum() or full != self.taken.full_tangent):
+        if self.n_root and (changed > _FEW * touching.sum() or full != self.taken.full_tangent):
             self._take(self._contact(contact), contact)
             self._set_border(contact)
+        elif contact is not self.followed:
+            products = self._products(contact)
+            schur = self.left.T @ products
+            if np.linalg.matrix_rank(schur) == len(schur):  # else too few points are left to hold a body
+                self.products, self.schur, self.followed = products, schur, contact
 
     def _take(self, matrix: sparse.csr_array, contact: ContactState) -> None:
         """Update the root front with a contact tangent."""
@@ -205,29 +211,36 @@ class Inverse:
         return self.tangent.system.contact_matrix(contact, self.rows, self.n_root, couples=couples)
 
     def _set_border(self, contact: ContactState) -> None:
-        system = self.tangent.system
+        """Ways of the tissue with unit motions of the rigid unknowns (`right`), and for forces on the tissue
+        the forces on these (`left`), both from the factor."""
+        system, n = self.tangent.system, self.n
         n_rigid = len(system.rigid)
-        self.border = np.zeros((system.n_unknowns, n_rigid))
-        for k in range(n_rigid):
-            unit = np.zeros(system.n_unknowns)
-            unit[self.n + k] = 1.0
-            self.border[:, k] = self.tangent.times(contact, unit)
-        self.solved = np.zeros((self.n, n_rigid))
-        for k in range(n_rigid if self.n else 0):
-            self.solved[:, k] = self.linear.solve(np.ascontiguousarray(self.border[: self.n, k]))
-        schur = self.border[self.n :] - self.border[: self.n].T @ self.solved
+        self.right, self.left = np.zeros((2, system.n_unknowns, n_rigid))
+        self.right[n:] = self.left[n:] = np.eye(n_rigid)
+        border = self._products(contact)
+        if n_rigid and n:
+            rows = system.contact_rows(contact) + np.stack([system.collect(c) for c in self.tangent.columns])
+            for k in range(n_rigid):
+                self.right[:n, k] = -self.linear.solve(np.ascontiguousarray(border[:n, k]))
+                self.left[:n, k] = -self.linear.solve(rows[k])
+        self.products, self.followed = self._products(contact), contact
+        self.schur = self.left.T @ self.products
         if n_rigid:
-            check_rigid_modes(system, schur, self.border[self.n :])
-        self.schur = schur
+            check_rigid_modes(system, self.schur, border[n:])
+
+    def _products(self, contact: ContactState) -> Array:
+        """The tangent times the rigid unknowns' motions (n_unknowns, n_rigid)."""
+        columns = [self.tangent.times(contact, each) for each in np.ascontiguousarray(self.right.T)]
+        return np.stack(columns, axis=1) if columns else np.zeros_like(self.right)
 
     def __call__(self, rhs: Array) -> Array:
-        out = np.empty_like(rhs)
-        x = self.linear.solve(rhs[: self.n]) if self.n else rhs[:0]
+        out = np.zeros_like(rhs)
+        left = rhs
         if len(rhs) > self.n:
-            rho = np.linalg.solve(self.schur, rhs[self.n :] - self.border[: self.n].T @ x)
-            out[self.n :] = rho
-            x = x - self.solved @ rho
-        out[: self.n] = x
+            motions = np.linalg.solve(self.schur, self.left.T @ rhs)
+            out, left = self.right @ motions, rhs - self.products @ motions
+        if self.n:
+            out[: self.n] += self.linear.solve(np.ascontiguousarray(left[: self.n]))
         return out
 
 
