@@ -151,11 +151,11 @@ class Inverse:
     """Approximate inverse of a tangent, used as preconditioner.
 
     A factor of the tissue's symmetric part with the exact contact tangent in its root front, and the exact
-    tangent for the motions of the rigid unknowns, with which the tissue moves as the factor says. Where the skin bends around the edge of the probe, its
-    normals differ from the probe's and the contact tangent is far from symmetric: with the symmetric part
-    alone GMRES takes ten times the iterations. That the shear of a slip follows its pressure is not in the
-    factor: with its symmetric part the matrix is indefinite, with half of that term as a negative stiffness
-    along the slip.
+    tangent for the motions of the rigid unknowns, with which the tissue moves as the factor says. Where the
+    skin bends around the edge of the probe, its normals differ from the probe's and the contact tangent is
+    far from symmetric: with the symmetric part alone GMRES takes ten times the iterations. That the shear of
+    a slip follows its pressure is not in the factor: with its symmetric part the matrix is indefinite, with
+    half of that term as a negative stiffness along the slip.
 
     The tissue part belongs to the state that was factored; the contact part is updated (`follow`) if the
     direct solver has a root front.
@@ -163,6 +163,7 @@ class Inverse:
 
     def __init__(self, tangent: Tangent, contact: ContactState, linear: Any):
         self.linear, self.tangent = linear, tangent
+        self.taken = self.followed = contact
         self.rooted: Any = linear  # the same object, accessed through its root-front interface
         system = tangent.system
         self.n = system.n_tissue
@@ -179,7 +180,6 @@ class Inverse:
             inside = self._contact(contact, couples=False)
             self.inside = 0.5 * (inside + inside.T)  # contact part contained in the factored matrix
             self._take(self._contact(contact), contact)
-        self.taken = contact
         self._set_border(contact)
 
     def follow(self, contact: ContactState) -> None:
