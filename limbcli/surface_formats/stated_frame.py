@@ -100,22 +100,22 @@ def mixed_frames(files: Iterable[StatedFrame]) -> str:
 
     >>> skin, tibia = StatedFrame("skin.stl"), StatedFrame("tibia.stl", "RAS")
     >>> mixed_frames([skin, tibia])
-    'skin.stl states no frame, and was taken as patient LPS, while tibia.stl was turned'
+    'in skin.stl no frame is stated (taken as patient LPS), while in tibia.stl one is (turned)'
     """
     files = list(files)
     found = []
     for silent, done, words in (
         ([not each.frame for each in files], [each.frame not in ("", "LPS") for each in files],
-         ("states no frame, and was taken as patient LPS", "was turned")),
+         ("no frame is stated (taken as patient LPS)", "one is (turned)")),
         ([not each.unit for each in files], [each.mm_per_unit != 1.0 for each in files],
-         ("states no unit of length, and was taken as mm", "was scaled")),
+         ("no unit of length is stated (taken as mm)", "one is (scaled)")),
     ):  # fmt: skip
         if any(silent) and any(done):
             names = [
                 ", ".join(each.name for each, one in zip(files, of, strict=True) if one)
                 for of in (silent, done)
             ]
-            found.append(f"{names[0]} {words[0]}, while {names[1]} {words[1]}")
+            found.append(f"in {names[0]} {words[0]}, while in {names[1]} {words[1]}")
     return "; ".join(found)
 
 

@@ -224,7 +224,7 @@ def test_a_bone_in_another_frame_and_unit_lies_where_it_was_and_it_is_said(bodie
     skin = bodies.path("skin").read_bytes().replace(b"SPACE=LPS", b"in a room")
     (tmp_path / "skin.ply").write_bytes(skin.replace(b"units mm", b"a limb"))
     result = segment(case_with(tmp_path, skin=tmp_path / "skin.ply", bones=case.imaging.bones), out=tmp_path)
-    assert any("skin.ply states no frame" in line for line in result.warnings)
+    assert any("in skin.ply no frame is stated" in line for line in result.warnings)
 
 
 def test_one_file_with_all_bodies_is_taken_apart(bodies, tmp_path):
