@@ -3,9 +3,9 @@
 # integers (scale 0.01 N a count): stored as signed counts, and as unsigned counts with an offset of 32768, which
 # ANALOG:FORMAT says ("UNSIGNED", C3D User Guide: for analog data of full sixteen bits).
 # Guess: each reader gives the force from both, as c3d does.
-# Seen:  ezc3d, and kineticstoolkit and pyomeca, which read by it, take counts and offset for signed ones: of the
-#        unsigned file -655.36, -483.36, -333.36 and -128 N: what pushes is 655.36 N too low, what pulls is
-#        right. pupyC3D takes all counts for unsigned: of the signed file -128 N is 527.36. No word is said.
+# Seen:  ezc3d takes counts and offset for signed ones: of the unsigned file -655.36, -483.36, -333.36 and -128 N:
+#        what pushes is 655.36 N too low, what pulls is right. pupyC3D takes all counts for unsigned: of the
+#        signed file -128 N is 527.36. No word is said.
 # Exits non-zero if that changes.
 set -eu
 folder=$(mktemp -d)
