@@ -262,24 +262,26 @@ class System(RigidLoads, ElementLoops):
         penetration beside the wall.
         """
         x = self.X + contact.state.u
-        rows = np.zeros((len(self.rigid), self.n_tissue))
+        nodal = np.zeros((len(self.rigid), *x.shape))
         for pair, found in zip(self.pairs, contact.points, strict=True):
-            for r, (b, dof) in enumerate(self.rigid):
-                if b != pair.body:
-                    continue
-                nodal, along = np.zeros_like(x), np.eye(3)[dof % 3] / self.arms[r]
-                arm = x - self.center(b, contact.state)
+            mine = [(r, dof) for r, (b, dof) in enumerate(self.rigid) if b == pair.body]
+            if pair.body is None or not mine:
+                continue
+            arm, pressed = x - self.center(pair.body, contact.state), np.zeros_like(x)
+            if contact.full_tangent:
+                pair.force(found, pressed)
+            parts = []
+            for k, patch in enumerate(pair.patches):
+                blocks, touched = pair.blocks(k, found[k], x, full=contact.full_tangent)
+                parts.append((patch.facets[touched], blocks[touched]))
+            for r, dof in mine:
+                along = np.eye(3)[dof % 3] / self.arms[r]
                 ways = np.cross(along, arm) if dof >= 3 else np.broadcast_to(along, x.shape)
-                for k, patch in enumerate(pair.patches):
-                    blocks, touched = pair.blocks(k, found[k], x, full=contact.full_tangent)
-                    nodes = patch.facets[touched]
-                    np.subtract.at(nodal, nodes, np.einsum("fai,faibj->fbj", ways[nodes], blocks[touched]))
-                if contact.full_tangent and dof >= 3:  # the arms change with the skin
-                    pressed = np.zeros_like(x)
-                    pair.force(found, pressed)
-                    nodal += np.cross(along, pressed)  # that of the body's own nodes is not collected
-                rows[r] += self.collect(nodal)
-        return rows
+                for nodes, blocks in parts:
+                    np.subtract.at(nodal[r], nodes, np.einsum("fai,faibj->fbj", ways[nodes], blocks))
+                if dof >= 3:  # the arms change with the skin; what the body's own nodes have is not collected
+                    nodal[r] += np.cross(along, pressed)
+        return np.array([self.collect(each) for each in nodal]).reshape(-1, self.n_tissue)
 
     def contact_residual(self, contact: ContactState) -> Array:
         """The contact part of the residual."""

@@ -219,23 +219,9 @@ def _way(past, nodes, N, nodes2, r, hit):
 
 @njit
 def search(
-    start,
-    stop,
-    x,
-    facets,
-    N,
-    dN,
-    facets2,
-    rim,
-    tree,
-    radius,
-    tolerance,
-    eps,
-    multiplier,
-    past,
-    deepest,
+    start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance, eps, multiplier, past, deepest,
     state,
-):
+):  # fmt: skip
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
 
     As in FEBio, a point keeps the secondary facet of the last search as long as its normal line hits that

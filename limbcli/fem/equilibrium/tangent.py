@@ -187,7 +187,7 @@ class Inverse:
 
         If all contact is lost during the iteration, nothing is updated.
         """
-        if not contact.touching.any():
+        if not (self.n_root or self.tangent.system.rigid) or not contact.touching.any():
             return
         touching, full = contact.touching, contact.full_tangent
         changed = int((touching != self.taken.touching).sum())
