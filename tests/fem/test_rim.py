@@ -108,16 +108,15 @@ def under(system: System, depth: float, shift: float) -> State:
     return system.followed(replace(at_rest, u=u, bodies=(plate,)))
 
 
-@pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_a_point_touches_no_deeper_than_it_can_have_come(friction: float) -> None:
+def rough() -> System:
+    _, model = pressed("hex8")
+    contacts = tuple(replace(each, friction=0.3, symmetric=False) for each in model.contacts)
+    return System(replace(model, contacts=contacts), threads=1)
+
+
+def test_a_point_touches_no_deeper_than_it_can_have_come() -> None:
     """As where skin bulges over a brim: points that pass the rim sideways meet a face far below them."""
-
-    def made() -> System:
-        _, model = pressed("hex8")
-        rough = [replace(each, friction=friction, symmetric=not friction) for each in model.contacts]
-        return System(replace(model, contacts=tuple(rough)), threads=1)
-
-    system, fresh = made(), made()
+    system, fresh = rough(), rough()
     before = system.search(under(system, 3.0, 0.0)).touching
     assert before.any(), "an overlap at the beginning is contact"
     system.remember(under(system, 3.0, 0.0))
@@ -130,7 +129,7 @@ def test_a_point_touches_no_deeper_than_it_can_have_come(friction: float) -> Non
 
 
 def test_a_plate_that_comes_from_above_touches_at_any_depth() -> None:
-    system, _ = pressed("hex8")
+    system = rough()
     fresh = system.search(under(system, 3.0, 0.0)).touching
     system.remember(under(system, -0.1, 0.0))
     np.testing.assert_array_equal(system.search(under(system, 3.0, 0.0)).touching, fresh)

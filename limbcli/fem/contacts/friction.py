@@ -45,7 +45,12 @@ class FrictionPair(Pair):
         return self.contact.friction
 
     def remember(self, x: Array, hints: Sequence[Array] = ()) -> None:
-        super().remember(x, hints)
+        # whatever the penalty is, which may grow from 0
+        unit = [(np.ones_like(p.eps), np.zeros_like(p.multiplier)) for p in self.patches]
+        self.deepest = [
+            np.where(points[..., TRACTION] > 0, points[..., GAP], 0.0) for points in self._met(x, hints, unit)
+        ]
+        self.past = x
         self._place(x)
 
     def _place(self, x: Array) -> None:

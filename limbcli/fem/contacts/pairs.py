@@ -41,7 +41,7 @@ class Pair:
     body : number of the rigid body that the secondary side is part of; None: it is soft
     past (n_points, 3) : positions of all nodes at the last converged step
     deepest : of each patch, the gaps (n_facets, n_gauss) then, 0 where the point did not touch; infinite
-        before the first step
+        before the first step, and without friction, where tractions fade at a rim
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     looseness : value of the load curve of the gap's tolerance
     """
@@ -148,13 +148,10 @@ class Pair:
         return ()
 
     def remember(self, x: Array, hints: Sequence[Array] = ()) -> None:
-        """Store a converged step as the reference for the next one; hints : as in `search`."""
-        # whatever the penalty is, which may grow from 0
-        unit = [(np.ones_like(p.eps), np.zeros_like(p.multiplier)) for p in self.patches]
-        self.deepest = [
-            np.where(points[..., TRACTION] > 0, points[..., GAP], 0.0) for points in self._met(x, hints, unit)
-        ]
-        self.past = x
+        """Store a converged step as the reference for the next one; nothing to store without friction.
+
+        hints : as in `search`
+        """
 
     def set_penalty(self, groups: Sequence[Group], curve: CurveAt, dt: float) -> None:
         self.full_eps = [penalties(self.contact, p, groups, curve, dt) for p in self.patches]
