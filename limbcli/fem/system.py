@@ -153,7 +153,7 @@ class System(RigidLoads, ElementLoops):
         system of the previous step."""
         for mine, theirs in zip(self.pairs, before.pairs, strict=True):
             mine.set_multipliers(theirs.multipliers())
-            mine.past, mine.deepest = theirs.past, theirs.deepest
+            mine.past, mine.last_gaps = theirs.past, theirs.last_gaps
 
     def _laws_differ(self, model: LimbModel) -> bool:
         return any(model.materials[d.material] is not self.model.materials[d.material] for d in model.domains)

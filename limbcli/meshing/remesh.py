@@ -35,6 +35,10 @@ from limbcli.model import Array, IntArray
 # mm: neither curvature nor thin tissue reduces the edge length below this; a smaller requested size still can
 _MIN_SIZE = 1.5
 _AT_SURFACE = 1.5  # grid spacings: samples closer to a surface limit edges by its curvature
+_CLEFT_SHARE = 4.0  # edges in narrow tissue or thin bone, as a multiple of half its width
+_REFINED, _REFINED_MM = 0.6, 6.0  # size around a place that is meshed anew: share of the former, and how far
+_GROWTH = 0.3  # largest growth of the edge length, mm per mm
+_UNFOLDING_ROUNDS, _REMESHING_ROUNDS = 8, 10
 _CROWDED = 0.1  # fraction of the target length: a shorter edge is an artefact
 # cosine between the normals of two adjacent faces, below which they are folded onto each other
 _FOLDED = -0.9998
@@ -131,22 +135,22 @@ def _bend_limit(field: Field, at: NDArray[np.bool_], sag: Array, far: float, *, 
 
 
 def _cleft_limit(domain: TissueDomain, far: float) -> Array:
-    """Edge length limit in narrow tissue or thin bone: four times half the width, at mid-width."""
+    """Edge length limit in narrow tissue or thin bone, at mid-width."""
     assert domain.bone is not None
     h = domain.skin.grid.spacing
     tissue = np.minimum(-domain.skin.values, domain.bone.values)
     out = np.full(tissue.shape, far, dtype=np.float64)
     for depth in (tissue, -domain.bone.values):
         slope = np.sqrt(sum(each**2 for each in np.gradient(depth, h)))
-        middle = (depth > 0.3 * h) & (depth < far / 4.0) & (slope < 0.75)
-        out[middle] = np.minimum(out[middle], 4.0 * depth[middle])
+        middle = (depth > 0.3 * h) & (depth < far / _CLEFT_SHARE) & (slope < 0.75)
+        out[middle] = np.minimum(out[middle], _CLEFT_SHARE * depth[middle])
     return np.maximum(out, _MIN_SIZE)
 
 
 def finer_near(field: SizeField, places: Array) -> SizeField:
     """The size field reduced around places (n, 3) where facets intersect each other or have lost bone."""
     grid, sizes = field.bend.grid, field.bend.values
-    values = np.where(grid.near(places, 6.0), 0.6 * np.minimum(sizes, field.sizes.far), sizes)
+    values = np.where(grid.near(places, _REFINED_MM), _REFINED * np.minimum(sizes, field.sizes.far), sizes)
     bend = Field(grid, _graded(np.maximum(values, 0.5), grid.spacing))
     return replace(field, bend=bend, least=min(0.7, field.least))
 
@@ -193,7 +197,7 @@ def unfold(boundary: Boundary, domain: TissueDomain) -> Boundary:
     surface, labels = boundary.surface, boundary.labels
     constraints = NodeConstraints.of_faces(len(surface.points), surface.faces, labels)
     edges = np.unique(np.sort(surface.faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1), axis=0)
-    for _ in range(8):
+    for _ in range(_UNFOLDING_ROUNDS):
         boundary = Boundary(surface, labels)
         unit = surface.area_vectors / np.maximum(surface.areas, 1e-12)[:, None]
         folded = np.einsum("ij,ij->i", unit, outward_normals(boundary, domain)) < 0.1
@@ -221,11 +225,11 @@ def outward_normals(boundary: Boundary, domain: TissueDomain) -> Array:
 
 
 def _graded(limit: Array, spacing: float) -> Array:
-    """The limit, made to grow by at most 0.3 mm per mm with distance from where it applies."""
+    """The limit, made to grow by at most `_GROWTH` with distance from where it applies."""
     out = limit
     for reach in (1, 2, 4, 8):
         shape = 2 * reach + 1
-        out = np.minimum(out, ndimage.minimum_filter(out, size=shape) + 0.3 * reach * spacing)
+        out = np.minimum(out, ndimage.minimum_filter(out, size=shape) + _GROWTH * reach * spacing)
     return out
 
 
@@ -250,7 +254,7 @@ def remesh(fine: Triangles, domain: TissueDomain, field: SizeField) -> Boundary:
         if n < 0.02 * len(faces):
             break
         faces, _ = flip(points, faces, labels)
-    for _ in range(10):
+    for _ in range(_REMESHING_ROUNDS):
         points, faces, labels = split_long(points, faces, labels, field.at(points))
         for _ in range(3):
             ranks, _ = _ranks(points, faces, labels)

@@ -219,7 +219,7 @@ def _way(past, nodes, N, nodes2, r, hit):
 
 @njit
 def search(
-    start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance, eps, multiplier, past, deepest,
+    start, stop, x, facets, N, dN, facets2, rim, tree, radius, tolerance, eps, multiplier, past, last_gaps,
     state,
 ):  # fmt: skip
     """Fill `state` of facets start..stop; traction 0 means no contact. Returns the number in contact.
@@ -234,7 +234,7 @@ def search(
 
     rim (n_facets2, 4) : half-width of the fading zone at free edges of the secondary surface, in the facet's
         natural coordinates; 0 at other edges
-    past, deepest : see `Pair`
+    past, last_gaps : see `Pair`
     tree : spheres around the secondary facets and around the nodes of their tree, its order and its starts
         (see `FacetTree`)
     """
@@ -281,9 +281,9 @@ def search(
             traction = weight * (multiplier[f, k] + eps[f] * gap)
             if gap > radius or traction <= 0.0:
                 continue
-            if gap > _DEEPER * deepest[f, k]:
+            if gap > _DEEPER * last_gaps[f, k]:
                 way = _way(past, facets[f], N[k], facets2[nearest], r, best)
-                if gap > _DEEPER * (deepest[f, k] + way):
+                if gap > _DEEPER * (last_gaps[f, k] + way):
                     continue
             count += 1
             row[GAP] = gap

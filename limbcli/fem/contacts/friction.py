@@ -47,20 +47,21 @@ class FrictionPair(Pair):
     def remember(self, x: Array, hints: Sequence[Array] = ()) -> None:
         # whatever the penalty is, which may grow from 0
         unit = [(np.ones_like(p.eps), np.zeros_like(p.multiplier)) for p in self.patches]
-        self.deepest = [
-            np.where(points[..., TRACTION] > 0, points[..., GAP], 0.0) for points in self._met(x, hints, unit)
+        self.last_gaps = [
+            np.where(points[..., TRACTION] > 0, points[..., GAP], 0.0)
+            for points in self._hits(x, hints, unit)
         ]
         self.past = x
-        self._place(x)
+        self._set_reference(x)
 
-    def _place(self, x: Array) -> None:
+    def _set_reference(self, x: Array) -> None:
         """Take positions x (n_points, 3) as those that slips are measured from."""
         for p, before in zip(self.patches, self.before, strict=True):
             friction_kernels.remember(x, p.facets, p.N, p.dN, before)
 
     def forget(self, x: Array) -> None:
         super().forget(x)
-        self._place(x)
+        self._set_reference(x)
         for pull in self.pulls:
             pull[:] = 0.0
 

@@ -40,7 +40,7 @@ class Pair:
     tree : of `facets2`
     body : number of the rigid body that the secondary side is part of; None: it is soft
     past (n_points, 3) : positions of all nodes at the last converged step
-    deepest : of each patch, the gaps (n_facets, n_gauss) then, 0 where the point did not touch; infinite
+    last_gaps : of each patch, the gaps (n_facets, n_gauss) then, 0 where the point did not touch; infinite
         before the first step, and without friction, where tractions fade at a rim
     full_eps, factor : penalties (n_facets,) of the patches, MPa/mm, before their load curve, and its value
     looseness : value of the load curve of the gap's tolerance
@@ -56,14 +56,14 @@ class Pair:
     tree: FacetTree
     body: int | None
     past: Array
-    deepest: list[Array] = field(init=False)
+    last_gaps: list[Array] = field(init=False)
     full_eps: list[Array] = field(default_factory=list, kw_only=True)
     factor: float = field(default=1.0, kw_only=True)
     looseness: float = field(default=1.0, kw_only=True)
     threads: Threads = field(default_factory=lambda: Threads(1), kw_only=True)
 
     def __post_init__(self) -> None:
-        self.deepest = [np.full(p.multiplier.shape, np.inf) for p in self.patches]
+        self.last_gaps = [np.full(p.multiplier.shape, np.inf) for p in self.patches]
 
     def search(
         self, x: Array, hints: Sequence[Array] = (), earlier: Sequence[Array] = ()
@@ -75,10 +75,10 @@ class Pair:
 
         Returns the state of the points of each patch, and how many touch.
         """
-        found = self._met(x, hints, [(p.eps, p.multiplier) for p in self.patches])
+        found = self._hits(x, hints, [(p.eps, p.multiplier) for p in self.patches])
         return tuple(found), sum(int((points[..., TRACTION] > 0).sum()) for points in found)
 
-    def _met(self, x: Array, hints: Sequence[Array], laws: Sequence[tuple[Array, Array]]) -> list[Array]:
+    def _hits(self, x: Array, hints: Sequence[Array], laws: Sequence[tuple[Array, Array]]) -> list[Array]:
         """State of the points of each patch, with its penalty and multiplier from `laws`."""
         tree = (*self.tree.spheres(x), self.tree.order, self.tree.starts)
         found = []
@@ -104,7 +104,7 @@ class Pair:
         c, p = self.contact, self.patches[k]
         found = search(
             begin, end, x, p.facets, p.N, p.dN, self.facets2, self.rim, tree,
-            c.search_radius, c.search_tolerance, *law, self.past, self.deepest[k], points,
+            c.search_radius, c.search_tolerance, *law, self.past, self.last_gaps[k], points,
         )  # fmt: skip
         return int(found)
 
@@ -165,9 +165,9 @@ class Pair:
 
     def forget(self, x: Array) -> None:
         """Reset to the unloaded state at positions x (n_points, 3): no contact, multipliers zero."""
-        for p, deepest in zip(self.patches, self.deepest, strict=True):
+        for p, gaps in zip(self.patches, self.last_gaps, strict=True):
             p.multiplier[:] = 0.0
-            deepest[:] = np.inf
+            gaps[:] = np.inf
         self.past = x
 
     def multipliers(self) -> list[tuple[Array, ...]]:
