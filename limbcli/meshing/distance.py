@@ -106,8 +106,7 @@ def signed_distance(surface: Triangles, grid: Grid) -> Field:
     corners = np.ascontiguousarray((surface.corners - grid.origin) / grid.spacing)
     near = _near_distance(corners, grid.shape, _BAND)
     inside = winding(corners, grid.shape) > 0
-    distance = np.where(near < _BAND, near, _FAR)
-    _sweep(distance, near < _BAND)
+    distance = _swept(np.where(near < _BAND, near, _FAR), near < _BAND)
     return Field(grid, np.where(inside, -distance, distance) * grid.spacing)
 
 
@@ -171,8 +170,15 @@ def distance_again(field: Field) -> Field:
     values = np.ascontiguousarray(field.values / field.grid.spacing)
     # anchored at the samples adjacent to the zero level
     d = _anchors(values)
-    _sweep(d, d < _FAR)
+    d = _swept(d, d < _FAR)
     return field.with_values(np.where(values <= 0, -d, d) * field.grid.spacing)
+
+
+def _swept(distance: Array, anchored: Array) -> Array:
+    """Distances from the anchored samples to all others, by first-order fast sweeping of |grad d| = 1."""
+    padded = np.pad(distance, 1, constant_values=_FAR)
+    _sweep(padded, anchored)
+    return padded[1:-1, 1:-1, 1:-1]
 
 
 # ---------------------------------------------------------------- kernels
@@ -312,14 +318,12 @@ def _anchors(phi: Any) -> Any:
 
 
 @njit
-def _sweep(d: Any, anchored: Any) -> None:
-    """First-order fast sweeping of |grad d| = 1 from the anchored samples, in place.
+def _sweep(w: Any, anchored: Any) -> None:
+    """Fast sweeping, in place, of distances with a border of one sample on every side.
 
     Each layer is swept by its diagonals: of their samples none needs another, so a processor overlaps them.
     """
-    nx, ny, nz = d.shape
-    w = np.full((nx + 2, ny + 2, nz + 2), _FAR)
-    w[1:-1, 1:-1, 1:-1] = d
+    nx, ny, nz = anchored.shape
     for corner in range(8):
         i0, di = (1, 1) if corner & 1 else (nx, -1)
         j0, dj = (1, 1) if corner & 2 else (ny, -1)
@@ -334,7 +338,6 @@ def _sweep(d: Any, anchored: Any) -> None:
                         y = min(w[i, j - 1, k], w[i, j + 1, k])
                         z = min(w[i, j, k - 1], w[i, j, k + 1])
                         w[i, j, k] = min(w[i, j, k], _eikonal(x, y, z))
-    d[:] = w[1:-1, 1:-1, 1:-1]
 
 
 @njit
