@@ -69,6 +69,36 @@ def test_one_thread_gives_what_two_give(single: bool, shift: float) -> None:
     assert np.array_equal(one, two)
 
 
+def test_update_matrices_that_are_needed_at_one_time_lie_apart() -> None:
+    """A front's own and those of its children, whatever the other thread does, and all that the top awaits."""
+    solver = solver_of(grid(14))
+    layout = solver.layout
+    plan, subtrees = layout.plan, layout.factoring.subtrees
+    sizes = plan.ldu * np.diff(plan.rows_at)
+    assert len(subtrees) > 2
+
+    def apart(fronts: list[int], at: np.ndarray) -> bool:
+        used = sorted((int(at[s]), int(sizes[s])) for s in fronts if sizes[s])
+        return all(a + n <= b for (a, n), (b, _) in zip(used, used[1:], strict=False))
+
+    def walk(order: list[int], at: np.ndarray, waiting: list[int]) -> list[int]:
+        for s in order:
+            assert apart([*waiting, s], at)
+            done = plan.children[plan.child_at[s] : plan.child_at[s + 1]]
+            waiting = [each for each in waiting if each not in done] + [s]
+        return waiting
+
+    last = [stop - 1 for _, stop in subtrees]
+    for first, stop in subtrees:
+        for at in layout.update_at:
+            others = [each for each in last if each != stop - 1]
+            assert walk(list(range(first, stop)), at, others) == [*others, stop - 1]
+    within = np.concatenate([np.arange(first, stop - 1) for first, stop in subtrees])
+    of_first, of_second = (each[within] for each in layout.update_at)
+    assert (of_first + sizes[within]).max() <= of_second.min()
+    walk([int(s) for s in layout.factoring.top], layout.update_at[0], last)
+
+
 @pytest.mark.parametrize("single", [True, False])
 def test_schur_complement_of_the_last_equations(single: bool) -> None:
     matrix = grid(6, shift=0.5)

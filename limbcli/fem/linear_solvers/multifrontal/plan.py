@@ -55,10 +55,12 @@ class Plan(NamedTuple):
 class Layout(NamedTuple):
     """A plan with elimination order (equation numbers), sizes, and division of work between threads.
 
+    update_at (2, n) : the plan's `update_at` for each of two threads
     panel_size : size of the largest panel, the last front's excluded
     """
 
     plan: Plan
+    update_at: IntArray
     order: IntArray
     parent: IntArray
     panel_size: int
@@ -91,14 +93,14 @@ def make_plan(graph: Graph, fronts: Fronts, indptr: IntArray, indices: IntArray)
     solving = share_top_alone(fronts.parent, (p * (p + r) - p * p / 2).astype(float) + 300.0)
     update_at, update_size = place_updates(fronts.parent, ldu * r, factoring)
     plan = Plan(
-        pivot_at, rows_at, rows, into, run_at, runs, tile_at, part_at, ld, update_at, ldu,
+        pivot_at, rows_at, rows, into, run_at, runs, tile_at, part_at, ld, update_at[0], ldu,
         child_at, by_parent[n_roots:], column_at, entry_to, entry_from,
     )  # fmt: skip
     pf, rf = p.astype(float), r.astype(float)
     flops = float((pf**3 / 3 + pf * pf * rf + pf * rf * rf).sum())
     largest = int((p + r).max(initial=1))
     return Layout(
-        plan, equations, fronts.parent, int((ld * p)[:-1].max(initial=1)), update_size, largest,
+        plan, update_at, equations, fronts.parent, int((ld * p)[:-1].max(initial=1)), update_size, largest,
         int(p.max(initial=1)), flops, factoring, solving,
     )  # fmt: skip
 
@@ -228,26 +230,34 @@ class Pieces:
 
 
 def place_updates(parent: IntArray, sizes: IntArray, shares: WorkShares) -> tuple[IntArray, int]:
-    """Offset of each front's update matrix, and the total size; subtrees get separate memory."""
+    """Offset of each front's update matrix for each of two threads (2, n), and the total size.
+
+    A subtree works in the memory of its thread, which the next one uses again; only the update matrix of its
+    last front is kept for the top.
+    """
     children: list[list[int]] = [[] for _ in parent]
     for s, up in enumerate(parent):
         if up >= 0:
             children[up].append(s)
     at = np.zeros(len(parent), dtype=np.int64)
-    pieces = Pieces()
-    base = 0
-    kept = []
+    within = np.zeros(len(parent), dtype=bool)
+    share = 0
     for first, stop in shares.subtrees:
-        pieces = Pieces(base)
-        for s in range(first, stop):
+        pieces = Pieces()
+        for s in range(first, stop - 1):
             _place(s, at, sizes, children, pieces)
-        base = pieces.size
-        kept.append(stop - 1)
-    pieces = Pieces(base)
-    pieces.free = _between(sorted((int(at[s]), int(sizes[s])) for s in kept if sizes[s]), base)
+        within[first : stop - 1] = True
+        share = max(share, pieces.size)
+    size, kept = 2 * share, []
+    for _, stop in shares.subtrees:
+        at[stop - 1] = size
+        kept.append((size, int(sizes[stop - 1])))
+        size += int(sizes[stop - 1])
+    pieces = Pieces(size)
+    pieces.free = _between(kept, size)
     for s in shares.top:
         _place(int(s), at, sizes, children, pieces)
-    return at, pieces.size
+    return np.stack([at, at + np.where(within, share, 0)]), pieces.size
 
 
 def _place(s: int, at: IntArray, sizes: IntArray, children: list[list[int]], pieces: Pieces) -> None:

@@ -85,12 +85,13 @@ class Multifrontal:
 
     def _factor_subtrees(self) -> int:
         store = self._store
-        workspaces = deque(zip(store.panels, store.inverses, store.work, strict=True))
+        plans = [store.plan._replace(update_at=each) for each in self.layout.update_at]
+        workspaces = deque(zip(plans, store.panels, store.inverses, store.work, strict=True))
 
         def run(start: int, stop: int) -> int:
-            workspace = panel, inverse, work = workspaces.pop()
+            workspace = plan, panel, inverse, work = workspaces.pop()
             made_up = numeric.factor_subtree(
-                store.blas, store.plan, start, stop, store.values,
+                store.blas, plan, start, stop, store.values,
                 panel, store.updates, store.kept, store.sign, store.tiny, inverse, work,
             )  # fmt: skip
             workspaces.append(workspace)
