@@ -46,7 +46,7 @@ from limbcli.stages.segment import SegmentOptions, segment
 SHARED = Path(os.environ.get("LIMBCLI_SHARED", Path(__file__).resolve().parents[3] / "shared"))
 SITES = SHARED / "febio-hidden"
 RECORDED = ["h02", "h03", "h05", "h06", "h07", "h08", "h09", "h11", "h13", "h15", "h19", "h20", "h23"]
-NAMES = ("everywhere", "grows", "fades mm", "near mm", "alike", "wide share", "wide mm")
+NAMES = ("everywhere", "grows", "fades mm", "near mm", "alike", "at bone", "from bone mm")
 _WITHIN, _TRIALS = 5.0, 600  # of the search for the likeliest sizes
 
 
@@ -54,7 +54,8 @@ _WITHIN, _TRIALS = 5.0, 600  # of the search for the likeliest sizes
 class Off:
     """Ln speed of the model less FEBio's (n,), where and when.
 
-    far_side (n,) : change by holding the limb's far side
+    far_side (n,) : change by holding the limb's far side; from_bone (n,) : mm, from the nearest part in which
+        there is nothing to compare
     """
 
     off: Array
@@ -62,6 +63,7 @@ class Off:
     place: Array
     strain: Array
     far_side: Array
+    from_bone: Array
 
 
 def prepared_site(site: str, folder: Path) -> Prepared:
@@ -119,7 +121,9 @@ def measured(site: str, truth: dict, folder: Path) -> tuple[str, Off]:
     line = f"| {site} | {truth['m']:.1f} | {ratio[1]:.2f} to {ratio[-1]:.2f} | {means} | {spread} |"
     strain = depth[level] / truth["thickness_mm"]
     place = windows.middles[part]
-    return line, Off(off[level, part], level, place, strain, far[level, part])
+    apart = np.linalg.norm(windows.middles[:, None] - windows.middles[None], axis=2)
+    from_bone = np.where(np.isfinite(off)[:, None, :], np.inf, apart[None]).min(axis=2)
+    return line, Off(off[level, part], level, place, strain, far[level, part], from_bone[level, part])
 
 
 def at_force(curves: Curves, table: Array, force: Array) -> Array:
@@ -129,12 +133,13 @@ def at_force(curves: Curves, table: Array, force: Array) -> Array:
 
 def cost_of_site(sizes: Array, each: Off) -> tuple[float, float]:
     """Minus ln likelihood of a site, but for a constant, at its own size of the error; and that size."""
-    everywhere, grows, fades, near, alike, share, wide = sizes
+    everywhere, grows, fades, near, alike, at_bone, from_bone = sizes
     x, z = each.place.T
     deviation = (everywhere + np.exp(-(z - z.min()) / fades)) * each.strain**grows
+    deviation *= 1.0 + at_bone * np.exp(-each.from_bone / from_bone)
     apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
-    kernel = (1 - share) * np.exp(-apart / near) + share * np.exp(-0.5 * (apart / wide) ** 2)
-    kernel *= alike ** np.abs(np.subtract.outer(each.level, each.level)) * np.outer(deviation, deviation)
+    kernel = np.exp(-apart / near) * alike ** np.abs(np.subtract.outer(each.level, each.level))
+    kernel *= np.outer(deviation, deviation)
     besides = (
         _FAR_SIDE_LEFT**2 * np.outer(each.far_side, each.far_side) + np.eye(len(x)) * noise_parts._RESOLVED**2
     )
@@ -183,7 +188,7 @@ def main() -> None:
             print(line, flush=True)
     stands = np.array([
         noise_parts._EVERYWHERE, noise_parts._GROWS, noise_parts._FADES_MM, noise_parts._NEAR_MM,
-        noise_parts._ALIKE, noise_parts._WIDE_SHARE, noise_parts._WIDE_MM,
+        noise_parts._ALIKE, noise_parts._AT_BONE, noise_parts._FROM_BONE_MM,
     ])  # fmt: skip
     for name, each in zip(options.only, found, strict=False):
         print(f"{name}: size {cost_of_site(stands, each)[1]:.2f}, {noise_parts._BELOW_FACE:.2f} stands")

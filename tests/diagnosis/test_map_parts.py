@@ -127,23 +127,24 @@ def test_a_models_error_is_shared_by_neighbours_and_levels():
     near, far = alike[0, 1], alike[0, 3]
     assert 0.9 > near > 1.5 * far > 0
     assert 0.8 < alike[0, n] < 0.95
-    whole = model.of_model(mapped((1,), (0,)), 1.0)[0, 0]
+    whole = model.of_model(mapped((1,), range(n)), 1.0)[0, 0]
     of_level = (model_noise._IN_LEVEL * 0.2**2) ** 2  # of a level's mean, whatever the share
     assert found[n, n] - of_level == pytest.approx(0.25 * (whole - of_level), rel=1e-3)
 
 
-def test_parts_at_an_edge_of_what_is_shown_are_known_less_well():
-    """Four parts side by side in two rows: a corner one lacks a quarter of its pixels at the second level."""
-    model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.zeros(2))
+def test_a_model_errs_most_beside_what_a_map_does_not_show():
+    """Four parts side by side in two rows, 4 mm apart; one has no speed at the second level."""
+    model = MapNoise(SMALL.middles, (4.0, 4.0), (1.0, 1.0), PixelNoise(0.1), np.array([0.3, 0.3]))
     rows = mapped((0, 1), range(8))
-    own = np.full(16, 0.025)
-    own[15] = 0.1 / 12**0.5
-    deviation = np.sqrt(np.diag(model.beside_unseen(rows, own))).reshape(2, 2, 4)
-    assert not deviation[0].any()
-    assert deviation[1] == pytest.approx(np.array([[0.0, 0.0, 0.15, 0.15]] * 2))
-    hole = rows.where((rows.level != 0) | (rows.part != 1))
-    deviation = np.sqrt(np.diag(model.beside_unseen(hole, np.full(15, 0.025))))
-    assert {row.part for row, each in zip(hole, deviation, strict=True) if each > 0} == {2, 5, 6}
+    hole = rows.where((rows.level != 1) | (rows.part != 1))
+    shown, beside = (np.sqrt(np.diag(model.of_model(each, 1.0))) for each in (rows, hole))
+    assert beside[:8] == pytest.approx(shown[:8]), "as before at the level that has all"
+    from_it = np.hypot(*(SMALL.middles[1:] - SMALL.middles[0]).T)
+    of_level = model_noise._IN_LEVEL * 0.3**2
+    times = np.sqrt((beside[8:] ** 2 - of_level**2) / (shown[9:] ** 2 - of_level**2))
+    expected = 1.0 + model_noise._AT_BONE * np.exp(-from_it / model_noise._FROM_BONE_MM)
+    assert times == pytest.approx(expected, rel=1e-3)
+    assert times.max() > 4.0 > 1.9 > times.min()
 
 
 def test_an_effects_form_errs_by_its_share_alike_at_neighbouring_levels_and_places():

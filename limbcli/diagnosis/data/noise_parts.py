@@ -30,26 +30,20 @@ STRAIN = "model: strain by the thickness"
 COMMON_GAIN = 0.02
 # Model error in a map: standard deviation of ln speed at the top of the map, per unit of strain (depth over
 # thickness) to the power _GROWS; a share _EVERYWHERE of it at any depth below the face, the rest decays over
-# _FADES_MM. It is correlated exponentially over _NEAR_MM, a share _WIDE_SHARE of its variance over _WIDE_MM,
-# and by _ALIKE between neighbouring levels. The likeliest of tied models against noise-free FEBio models at
-# thirteen sites (`tests/benchmarks/map_errors.py`), with a size as at the worst of them: they differ by a
-# factor of nine, and the fraction that applies is estimated with every explanation.
-_BELOW_FACE, _EVERYWHERE, _GROWS, _FADES_MM, _NEAR_MM, _ALIKE = 0.9, 0.2, 1.5, 14.0, 5.0, 0.91
-_WIDE_SHARE, _WIDE_MM = 0.2, 10.0
+# _FADES_MM. Beside bone, where a map shows nothing, it is 1 + _AT_BONE times as large, and this excess decays
+# over _FROM_BONE_MM: tissue between probe and bone is squeezed most, and meshes differ most there. It is
+# correlated exponentially over _NEAR_MM, and by _ALIKE between neighbouring levels. The likeliest of tied
+# models against noise-free FEBio models at thirteen sites (`tests/benchmarks/map_errors.py`), with a size as
+# at the worst of them; the fraction that applies is estimated with every explanation.
+_BELOW_FACE, _EVERYWHERE, _GROWS, _FADES_MM, _NEAR_MM, _ALIKE = 0.16, 0.17, 1.2, 12.0, 9.0, 0.88
+_AT_BONE, _FROM_BONE_MM = 8.0, 5.0
 # Besides, standard deviation of a level's mean ln speed, by the square of the strain: at the deepest maps of
 # these sites the means are up to 3.6 % too slow, 2.2 % root mean square at a strain of 0.36, whatever the
 # size above.
 _IN_LEVEL = 0.17
 _RESOLVED = 0.001  # standard deviation of a part's ln speed, independent of strain
-IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.08  # name, and smallest fraction of the assumed error
+IN_MAPS, LEAST_IN_MAPS = "model: maps", 0.15  # name, and smallest fraction of the assumed error
 IN_MEAN = 0.07  # standard deviation of ln mean speed per unit of strain, where there is no map
-# Largest standard deviation of ln speed in a part that is incomplete in a map, or adjacent to an incomplete
-# part, at bone or at a hole. Meshes and the scanner differ in the visible fraction of such a part and in how
-# near the edge it is read (differences of 20 to 30 % beside bone, far less at most sites). The fraction that
-# applies is estimated from the data.
-_BESIDE_UNSEEN = 0.15
-BESIDE, LEAST_BESIDE = "model: maps, beside what is not shown", 0.1  # name, and smallest fraction of it
-_TOUCHES, _WHOLE = 1.5, 0.95  # adjacent: distance of centres in sides of a part; complete: fraction of pixels
 USUAL_THICKNESS = 25.0  # mm, assumed tissue thickness where the beam meets no bone
 FIRST_TOUCH = "measurement: layers at first touch"
 # Standard deviation of a layer's thickness from the model error: fractions of its thinning and of the depth.
@@ -131,37 +125,37 @@ class MapNoise:
     def of_model(self, rows: SiteRows, share: float) -> Array:
         """Covariance (n, n) of the model error; share : factor on its usual size."""
         part, level = rows.part - 1, rows.level
-        return maps_model_error(self.middles, part, np.abs(self.strain[level]), level, share=share)
+        return maps_model_error(
+            self.middles, part, np.abs(self.strain[level]), level, share=share,
+            from_bone=self.from_unseen(part, level),
+        )  # fmt: skip
 
-    def beside_unseen(self, rows: SiteRows, own: Array) -> Array:
-        """Covariance (n, n) of parts that are incomplete in their level's map or adjacent to such a part, or
-        to one that the model does not show; own (n,) : as in `of_pixels`."""
-        part, level = rows.part - 1, rows.level
-        n_pixels = np.zeros((len(self.strain), len(self.middles)))
-        n_pixels[level, part] = np.maximum(own, 1e-9) ** -2.0
-        whole = (n_pixels > 0) & (n_pixels >= _WHOLE * n_pixels.max(axis=0))
-        reach = _TOUCHES * np.array(self.size)
-        near = np.all(np.abs(self.middles[:, None] - self.middles[None]) < reach, axis=2)
-        beside = np.any(near[None] & ~whole[:, None, :], axis=2)
-        return np.diag(np.where(beside[level, part], _BESIDE_UNSEEN**2, 0.0))
+    def from_unseen(self, part: IntArray, level: IntArray) -> Array:
+        """Distance (n,) in mm of parts at levels (n,) from the nearest part that has no speed at that level;
+        infinite if all have one."""
+        shown = np.zeros((len(self.strain), len(self.middles)), bool)
+        shown[level, part] = True
+        apart = np.linalg.norm(self.middles[:, None] - self.middles[None], axis=2)
+        nearest = np.where(shown[:, None, :], np.inf, apart[None]).min(axis=2)
+        return np.asarray(nearest[level, part])
 
 
 def maps_model_error(
-    middles: Array, part: IntArray, strain: Array, level: IntArray, *, share: float = 1.0
-) -> Array:
+    middles: Array, part: IntArray, strain: Array, level: IntArray, *, share: float = 1.0,
+    from_bone: Array | float = np.inf,
+) -> Array:  # fmt: skip
     """Covariance (n, n) of ln speeds in parts (n,) of maps at levels (n,) from the model error; middles
     (n_parts, 2) : mm, lateral and below the face; strain (n,) : depth over thickness; share : on its usual
-    size
+    size; from_bone (n,) : mm, distance from what the map does not show
     """
     x, z = middles[part].T
     size = _BELOW_FACE * (_EVERYWHERE + np.exp(-(z - middles[:, 1].min()) / _FADES_MM))
+    size *= 1.0 + _AT_BONE * np.exp(-from_bone / _FROM_BONE_MM)
     deviation = share * size * strain**_GROWS
     apart = np.hypot(np.subtract.outer(x, x), np.subtract.outer(z, z))
     alike = _ALIKE ** np.abs(np.subtract.outer(level, level))
-    near = (1 - _WIDE_SHARE) * np.exp(-apart / _NEAR_MM) + _WIDE_SHARE * np.exp(
-        -0.5 * (apart / _WIDE_MM) ** 2
-    )
-    found = alike * (near * np.outer(deviation, deviation) + _IN_LEVEL**2 * np.outer(strain**2, strain**2))
+    near = np.exp(-apart / _NEAR_MM) * np.outer(deviation, deviation)
+    found = alike * (near + _IN_LEVEL**2 * np.outer(strain**2, strain**2))
     return np.asarray(found + (apart < 1e-9) * _RESOLVED**2)
 
 
@@ -196,7 +190,6 @@ def noise_parts(
         parts += [
             within("measurement: pixels of the maps", is_map, maps.of_pixels(mine, mine.own), source),
             within(IN_MAPS, is_map, maps.of_model(mine, model.map_share), "computed"),
-            within(BESIDE, is_map, maps.beside_unseen(mine, mine.own), "assumed"),
             of_groups("measurement: speeds of a level", np.where(is_map, noise.swe_level_fraction, 0.0),
                       rows.level, source=source),
         ]  # fmt: skip

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from limbcli.diagnosis.curves.curve_plan import FIRST_M, nearest_m, some_solved
-from limbcli.diagnosis.data.noise_parts import BESIDE, IN_MAPS, LEAST_BESIDE, LEAST_IN_MAPS
+from limbcli.diagnosis.data.noise_parts import IN_MAPS, LEAST_IN_MAPS
 from limbcli.diagnosis.explanations.forward_model import (
     Direction,
     Explanation,
@@ -90,11 +90,9 @@ class SiteForwardModel(Predictions):
 
     @property
     def scalable(self) -> Sequence[Scalable]:
-        """The model errors in maps, whose size a site's data tell; relative to the sizes that fits use."""
-        return [
-            Scalable(name, least / self.shares.get(name, 1.0), 1.0 / self.shares.get(name, 1.0))
-            for name, least in ((BESIDE, LEAST_BESIDE), (IN_MAPS, LEAST_IN_MAPS))
-        ]
+        """The model error in maps, whose size a site's data tell; relative to the size that fits use."""
+        taken = self.shares.get(IN_MAPS, 1.0)
+        return [Scalable(IN_MAPS, LEAST_IN_MAPS / taken, 1.0 / taken)]
 
     def fit(self, explanation: Explanation, start: Mapping[str, float]) -> Fitted:
         """Fit of c, m and the effects' parameters; the best over the effects' grid points."""
