@@ -129,7 +129,7 @@ def test_a_models_error_is_shared_by_neighbours_and_levels():
     assert 0.8 < alike[0, n] < 0.95
     whole = model.of_model(mapped((1,), range(n)), 1.0)[0, 0]
     of_level = (model_noise._IN_LEVEL * 0.2**2) ** 2  # of a level's mean, whatever the share
-    assert found[n, n] - of_level == pytest.approx(0.25 * (whole - of_level), rel=1e-3)
+    assert found[n, n] - of_level == pytest.approx(0.25 * (whole - of_level), rel=1e-2)
 
 
 def test_a_model_errs_most_beside_what_a_map_does_not_show():
