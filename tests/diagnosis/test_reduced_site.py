@@ -512,10 +512,10 @@ def test_where_the_work_is_spent_a_fit_is_told_to_be_by_sensitivities_only(rng):
     made.fit((), {})
     fitted = made.fit(("contraction",), {})
     made.sites[0].simulations.spent = True
-    assert made.verified(fitted) is fitted
+    assert made.verified(fitted) is None
     assert made.not_simulated == {("contraction",)}
     made.sites[0].simulations.spent = False
-    assert made.verified(fitted) is not fitted
+    assert made.verified(fitted) not in (None, fitted)
     without = made.fit(("force-zero",), {})
     assert made.verified(without) is without
     assert made.not_simulated == {("contraction",)}

@@ -69,6 +69,18 @@ def test_an_effect_whose_size_may_be_none_is_not_named(rng, monkeypatch):
     assert "the size of offset may as well be none" in found.reason
 
 
+@pytest.mark.parametrize("too_much_work", [False, True])
+def test_an_effect_that_no_simulation_confirms_is_not_named(rng, monkeypatch, too_much_work):
+    """However probable it is by extension from elsewhere."""
+    case = toy.make(rng, {"offset": 5.0}, unsimulated="" if too_much_work else "offset")
+    if too_much_work:
+        monkeypatch.setattr(type(case), "verified", lambda _, fitted: None)
+    found = run(case)
+    assert found.verdict == "ambiguous"
+    assert found.effects["offset"] >= decisions.CREDIBLE
+    assert "no simulation could confirm it" in found.reason
+
+
 @pytest.mark.parametrize(("parameter", "word"), [("offset", "ambiguous"), ("its place", "named")])
 def test_an_effect_whose_size_ends_on_its_limit_is_not_named(rng, parameter, word, monkeypatch):
     """The data ask for more of it than there can be: an error of the models. Its place may end anywhere."""

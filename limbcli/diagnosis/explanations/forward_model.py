@@ -214,8 +214,9 @@ class ForwardModel(Protocol):
         """
         ...
 
-    def verified(self, fitted: Fitted) -> Fitted:
-        """The same fit, with its numbers taken from a simulation of the fitted model."""
+    def verified(self, fitted: Fitted) -> Fitted | None:
+        """The same fit, with its numbers taken from a simulation of the fitted model; None if that would be
+        too much work."""
         ...
 
     def directions(self, fitted: Fitted, name: str) -> Sequence[Direction]:

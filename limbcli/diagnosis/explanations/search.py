@@ -271,6 +271,8 @@ class Search:
         except LimbError as error:
             self.not_evaluated[label] = error.what
             return
+        if fitted is None:
+            return
         self.simulated.add(explanation)
         self.linear.pop(explanation, None)
         self.fitted(fitted)

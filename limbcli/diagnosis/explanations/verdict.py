@@ -2,9 +2,9 @@
 
 The model is adequate if "nothing" is as probable as it is in 95 % of the measurements with nothing missing,
 which draws from the noise show. Else the effects that every likely explanation has are named if together
-these have 95 %, none of their sizes may be none or ends on the limit of what there can be, and they describe
-every part of the data; if not, the set of explanations with 95 % is reported. If even the most probable one
-fails the posterior predictive check, the verdict is unexplained.
+these have 95 %, a simulation at their fit confirms it, none of their sizes may be none or ends on the limit
+of what there can be, and they describe every part of the data; if not, the set of explanations with 95 % is
+reported. If even the most probable one fails the posterior predictive check, the verdict is unexplained.
 """
 
 from __future__ import annotations
@@ -118,6 +118,8 @@ class Conclusion:
             alone = f"{' + '.join(chosen)} has a probability of {100 * p:.0f} %"
             if chosen not in self.search.known:
                 return self._finish("ambiguous", f"{alone} to first order, but its fit failed", ())
+            if not self._confirmed(chosen):
+                return self._finish("ambiguous", f"{alone}, but no simulation could confirm it", ())
             if absent := self._of_any_size(chosen):
                 why = f"{alone}, but the size of {' and of '.join(absent)} may as well be none"
                 return self._finish("ambiguous", why, ())
@@ -131,6 +133,13 @@ class Conclusion:
         n = len(credible(self.several))
         why = f"{n} explanations together have a probability of {100 * decisions.CREDIBLE:.0f} %"
         return self._finish("ambiguous", why, ())
+
+    def _confirmed(self, chosen: Explanation) -> bool:
+        """Whether a simulation that needs to be was made of these effects at their fit: extrapolated far, an
+        effect can seem to describe anything."""
+        if not any(self.search.facts[name].simulated for name in chosen):
+            return True
+        return any(set(chosen) <= set(each) for each in self.search.simulated)
 
     def _of_any_size(self, chosen: Explanation) -> list[str]:
         """Effects whose sizes all have their null value in their 95 % intervals. They may be probable all the

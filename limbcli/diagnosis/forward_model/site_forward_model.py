@@ -120,16 +120,16 @@ class SiteForwardModel(Predictions):
         likely = np.mean(np.exp(-0.5 * np.maximum(np.array(list(deviances.values())) - deviance, 0.0)))
         return replace(fitted, ln_points=float(np.log(likely)))
 
-    def verified(self, fitted: Fitted) -> Fitted:
+    def verified(self, fitted: Fitted) -> Fitted | None:
         """Simulate the fitted model, correct the surrogate there and fit again, until the fit converges; one
-        that moves to where the surrogate is wrong gives the best simulated parameters. Unchanged if the work
+        that moves to where the surrogate is wrong gives the best simulated parameters. None if the work
         budget is used up."""
         explanation = fitted.explanation
         if not any(self.effects[name].solves for name in explanation):
             return fitted
         if any(each.simulations.spent for each in self.sites):
             self.not_simulated.add(explanation)
-            return fitted
+            return None
         model, solved, ln_points = self.model_of(fitted), [], fitted.ln_points
         for _ in range(_MOST_REPAIRS if len(explanation) == 1 else 2):
             x = self.x_of(fitted)

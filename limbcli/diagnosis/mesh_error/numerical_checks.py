@@ -292,8 +292,16 @@ class NumericalChecks:
         if self.site.swe_maps is not None:
             return found
         windows, curves = self.simulations.windows, self.curves
-        mesh = np.hypot(correction.speed_error, IN_MEAN * np.nan_to_num(self.depth) / thickness)
-        width = np.interp(self.depth, curves.depth, windows.width_uncertainty(curves.log_speed))
+        speeds = np.nan_to_num(np.exp(curves.log_speed[:, 1:]))  # 0 where a part is not shown
+        n_shown = np.maximum(np.count_nonzero(speeds, axis=1), 1)
+        mean, mean_square = speeds.sum(axis=1) / n_shown, (speeds**2).sum(axis=1) / n_shown
+        spread = np.sqrt(np.maximum(mean_square / np.maximum(mean, 1e-9) ** 2 - 1.0, 0.0))
+        spread, width = (
+            np.interp(self.depth, curves.depth, each)
+            for each in (spread, windows.width_uncertainty(curves.log_speed))
+        )
+        of_spread = IN_MEAN * spread * np.nan_to_num(self.depth) / thickness
+        mesh = np.hypot(correction.speed_error, of_spread)
         return [
             *found,
             self._error("model: mesh, in the mean speed", mean_speed=mesh),
