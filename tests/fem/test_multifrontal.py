@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 import pytest
 import scipy.sparse as sparse
@@ -70,7 +72,7 @@ def test_one_thread_gives_what_two_give(single: bool, shift: float) -> None:
 
 
 def test_update_matrices_that_are_needed_at_one_time_lie_apart() -> None:
-    """A front's own and those of its children, whatever the other thread does, and all that the top awaits."""
+    """A front's own and those of its children, whatever the other thread does, and all that the top needs."""
     solver = solver_of(grid(14))
     layout = solver.layout
     plan, subtrees = layout.plan, layout.factoring.subtrees
@@ -79,7 +81,7 @@ def test_update_matrices_that_are_needed_at_one_time_lie_apart() -> None:
 
     def apart(fronts: list[int], at: np.ndarray) -> bool:
         used = sorted((int(at[s]), int(sizes[s])) for s in fronts if sizes[s])
-        return all(a + n <= b for (a, n), (b, _) in zip(used, used[1:], strict=False))
+        return all(a + n <= b for (a, n), (b, _) in itertools.pairwise(used))
 
     def walk(order: list[int], at: np.ndarray, waiting: list[int]) -> list[int]:
         for s in order:
