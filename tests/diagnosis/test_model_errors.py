@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from limbcli.diagnosis.data import noise_parts
 from limbcli.diagnosis.mesh_error.mesh_correction import MeshCorrection
 from limbcli.diagnosis.mesh_error.numerical_checks import Intervention, Notes, NumericalChecks
 from limbcli.effects.curves import Curves
@@ -94,12 +95,21 @@ def test_what_is_still_in_doubt_of_a_numerical_change_counts_and_locking_does_no
 
 
 def test_means_and_maps_err_by_what_is_theirs(tmp_path):
-    """The mean: by mesh, window and strain."""
+    """The mean: by mesh, window, and strain times how far the speeds of the two parts are apart."""
     means, maps = every(errors_of(tmp_path)), every(errors_of(tmp_path, maps="maps"))
     assert not {"mesh, in the mean speed", "width of the window"} & set(maps)
     width = means["width of the window"].log_speed
     assert width[:, 0] == pytest.approx([0.0, 0.02, 0.0, 0.08])
     assert not width[:, 1:].any()
+    two = np.exp(np.outer([0.0, 2.0, 0.0, 8.0], [0.03, -0.01]))
+    of_spread = (
+        noise_parts.IN_MEAN * two.std(axis=1) / two.mean(axis=1) * np.array([0.0, 2.0, 0.0, 8.0]) / 25.0
+    )
+    mesh = means["mesh, in the mean speed"].log_speed
+    assert mesh[:, 0] == pytest.approx(np.hypot(0.004, of_spread))
+    assert of_spread[3] > 0.004
+    one = every(errors_of(tmp_path, hidden=(4,)))["mesh, in the mean speed"].log_speed
+    assert one[3, 0] == pytest.approx(0.004), "with one part shown nothing is apart"
     slopes = errors_of(tmp_path, maps="maps").known_errors(CORRECTION, []).map_slopes
     assert slopes == pytest.approx(np.tile([0.03, -0.01], (3, 1)))
 
