@@ -300,7 +300,7 @@ class NumericalChecks:
             np.interp(self.depth, curves.depth, each)
             for each in (spread, windows.width_uncertainty(curves.log_speed))
         )
-        of_spread = IN_MEAN * spread * np.nan_to_num(self.depth) / thickness
+        of_spread = np.nan_to_num(IN_MEAN * spread * self.depth / thickness)
         mesh = np.hypot(correction.speed_error, of_spread)
         return [
             *found,
