@@ -60,6 +60,9 @@ _TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be so
 # mm, smallest edge lengths at curved surfaces (bone is approximated coarsely), and at thin bones and clefts;
 # shorter where such facets lose a bone near the face
 _BENDS, _THIN = 8.0, 6.0
+# work of a solve with the probe turned, which serves a proposal alone: in mean solves of the site without
+# effects; smallest mean assumed
+_TURNED_TIMES, _LEAST_MEAN = 3.0, 500.0
 _LAYERS, _FINEST, _COARSEST = 3.0, 2.5, 5.0  # elements between skin and bone; mm, limits of their edge length
 
 
@@ -126,11 +129,12 @@ def turned_by_90(
     case: Case, prepared: Prepared, *, out: Path, mesh: WorkingMesh, progress: Progress
 ) -> SiteCurves:
     """Curves of the same measurement with the probe's long side turned by 90 degrees; raises MeshError or
-    SolveError if the place cannot be meshed or simulated so."""
+    SolveError if the place cannot be meshed or simulated so, or only with several times the usual work."""
     site, known = prepared.site, prepared.curves
     other = with_values(site, name=f"{site.name}-turned", long_axis=_across(site, prepared.simulations.model))
     progress.event("note", text=f"{site.name} with the probe turned by 90 degrees")
     simulations = Preparation(case, other, out, replace(mesh, size=prepared.size), progress).simulated()
+    simulations.work.at_most = _TURNED_TIMES * max(prepared.simulations.work.mean, _LEAST_MEAN)
     curves = SiteCurves(
         known.site, simulations, known.effects, penetration=known.penetration, refused=known.refused,
         progress=progress,
