@@ -194,7 +194,7 @@ def mesh(
         float | None, Option("Edge length of elements under the probe, mm; default: 2.5.", SIZE_MM)
     ] = None,
     far_size_mm: Annotated[
-        float | None, Option("Edge length far from the probe, mm; default: 8, or --size-mm.", FAR_SIZE_MM)
+        float | None, Option("Edge length far from the probe, mm; default: 12, or --size-mm.", FAR_SIZE_MM)
     ] = None,
     margin_mm: Annotated[float | None, MARGIN] = None,
     skin_mm: Annotated[

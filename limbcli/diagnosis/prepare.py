@@ -60,6 +60,8 @@ _TIMES_FORCE = 4.0  # simulated force over the largest reading: tissue may be so
 # mm, smallest edge lengths at curved surfaces (bone is approximated coarsely), and at thin bones and clefts;
 # shorter where such facets lose a bone near the face
 _BENDS, _THIN = 8.0, 6.0
+# mm per mm, mm: as short edges as in the site's own mesh, to which this one is corrected, cost more nodes
+_GROWTH, _REACH = 0.35, 2.0
 # work of a solve with the probe turned, which serves a proposal alone: in mean solves of the site without
 # effects; smallest mean assumed
 _TURNED_TIMES, _LEAST_MEAN = 3.0, 500.0
@@ -255,15 +257,15 @@ class Preparation:
         segmented = read_result(self.out, "segment")
         surfaces = [sha256(path) for path in sorted(segmented.folder.glob("*.ply"))]
         place = site_position(self.site, segmented)
+        sizes = Sizes(self.size, self.mesh.far_size, _GROWTH, _REACH, bends=_BENDS, thin=_THIN)
         recipe = [surfaces, place, self.site.long_axis, vars(self.case.probe), self.case.model.margin,
-                  self.size, self.mesh.far_size, _BENDS, _THIN, LARGEST_SLOPE_DEG, __version__]  # fmt: skip
+                  vars(sizes), LARGEST_SLOPE_DEG, __version__]  # fmt: skip
         key = hashlib.sha256(json.dumps(plain(recipe)).encode()).hexdigest()[:16]
         kept = self.work / f"model-{key}.npz"
         self.work.mkdir(parents=True, exist_ok=True)
         if not kept.is_file():
             self.progress.event("note", text="making the working mesh")
             probe = ProbeShape(self.case.probe.length, self.case.probe.width, self.case.probe.edge_radius)
-            sizes = Sizes(under_probe=self.size, far=self.mesh.far_size, bends=_BENDS, thin=_THIN)
             meshing = MeshOptions(element="tet10", margin=self.case.model.margin, sizes=sizes)
             limb = read_limb(segmented)
             made = site_model(limb, place, self.site.long_axis, probe, meshing, name=self.site.name)
