@@ -107,7 +107,7 @@ def test_site_whose_surface_tetgen_refuses_is_meshed_by_ftetwild(leg, monkeypatc
     monkeypatch.setattr(volume, "bad_places", lambda _graded: np.zeros((0, 3)))
     monkeypatch.setattr(volume, "remesh", pierced)
     monkeypatch.setattr(volume, "_remeshed_or_not", lambda d, f, _t: remesh(d.boundary, d, f).surface)
-    sizes = Sizes(under_probe=5.0, far=12.0)
+    sizes = Sizes(under_probe=5.0, far=12.0, growth=0.35, reach=2.0)  # refused all three ways
     options = MeshOptions(element="tet4", sizes=sizes, margin=15.0, spacing=2.0)
     found = site_model(leg, (0.0, -40.0, 0.0), "transverse", PROBE, options)
     assert found.maker == "fTetWild"
