@@ -32,7 +32,7 @@ def test_speeds_expectations_and_parameters_agree():
 
 
 @pytest.mark.slow
-def test_three_quarters_of_the_force_is_the_locking_of_the_mesh(tmp_path: Path):
+def test_more_than_half_of_the_force_is_the_locking_of_the_mesh(tmp_path: Path):
     case, tissue = Case.open(CASE), PUBLISHED["S1"]
     segment(case, out=tmp_path)
     model = load_model(mesh(case, out=tmp_path, sites=["S1"])[0].path("model"))
@@ -41,4 +41,4 @@ def test_three_quarters_of_the_force_is_the_locking_of_the_mesh(tmp_path: Path):
     linear = forces_at(model, depth, tissue, tolerance=1e-4)[0]
     assert linear == pytest.approx(levels.force[1], rel=0.01), "the mesher changed: write the case anew"
     quadratic = forces_at(with_element(model, "tet10"), depth, tissue, tolerance=1e-4)[0]
-    assert 3.0 < linear / quadratic < 6.0
+    assert 2.0 < linear / quadratic < 6.0
