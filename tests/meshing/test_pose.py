@@ -106,8 +106,8 @@ def test_a_limb_that_lies_across_has_no_known_proximal_end() -> None:
 @pytest.mark.slow
 def test_c_and_m_change_with_the_pose_by_less_than_the_stated_mesh_error(tmp_path: Path) -> None:
     """A reading of one mesh, fitted on that of the turned limb; next to no noise of the reading is stated.
-    On its own mesh a fit would give back the truth. Of the intervals of three poses that of m misses it in this
-    one, by 0.5 % of m (figures/meshing.md): within a tenth of its width."""
+    On its own mesh a fit would give back the truth. Of the intervals of three poses that of m misses it in
+    this one, by 0.5 % of m (figures/meshing.md): within a tenth of its width."""
     from tests.benchmarks.poses import SHAPE, C, change, fitted, model_of, reading_of
 
     sizes = Sizes(under_probe=5.0, far=8.0)  # at 6 and 10 mm tet4 errs by more: figures/meshing.md
