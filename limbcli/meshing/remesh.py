@@ -50,8 +50,8 @@ _ON_FACET = 0.25 * np.array([(i, j, 4 - i - j) for i in range(5) for j in range(
 class Sizes:
     """Target edge lengths (mm): under the probe, far from it, and their growth (mm per mm).
 
-    Strain is largest some millimetres below the face; edges that grow faster there leave twice the error in
-    wave speeds at the same number of nodes.
+    Strain is largest some millimetres below the face; edges that are longer there leave half as much error
+    again in wave speeds, at the same number of nodes (tests/benchmarks/figures/meshing.md).
     """
 
     under_probe: float = 2.5
