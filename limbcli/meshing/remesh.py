@@ -51,7 +51,7 @@ class Sizes:
     """Target edge lengths (mm): under the probe, far from it, and their growth (mm per mm).
 
     Strain is largest some millimetres below the face; edges that are longer there leave half as much error
-    again in wave speeds, at the same number of nodes (tests/benchmarks/figures/meshing.md).
+    again in wave speeds, at about as many nodes (tests/benchmarks/figures/meshing.md).
     """
 
     under_probe: float = 2.5
